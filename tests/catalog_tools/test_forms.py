@@ -344,9 +344,10 @@ def test_a_fixed_line_that_ends_within_a_column_is_refused(tmp_path):
         tmp_path,
         EXAMPLE.replace("[source_id]", f'[table]\nlayout = "fixed"\n{columns}\n[source_id]'),
     )
-    (tmp_path / "t.dat").write_text(" 71.5 -2 9.12\n 71.5 -2 9.1\n")
-    with pytest.raises(BadInput, match=r"t\.dat row 2.*bytes 10 to 13"):
-        list(read_tables(tmp_path / "t.dat", form))
+    for cut in ("9.1", "9.", "9"):  # the last after the column's first byte
+        (tmp_path / "t.dat").write_text(f" 71.5 -2 9.12\n 71.5 -2 {cut}\n")
+        with pytest.raises(BadInput, match=r"t\.dat row 2.*bytes 10 to 13"):
+            list(read_tables(tmp_path / "t.dat", form))
     (tmp_path / "t.dat").write_text(" 71.5 -2 9.12\n 71.5 -2\n")  # blanks at the end cut off
     stars = pa.concat_tables(read_tables(tmp_path / "t.dat", form))
     assert stars["phot_g_mean_mag"].null_count == 1
