@@ -216,6 +216,14 @@ def test_wrong_headers(client: httpx.Client, headers: dict[str, str], status: in
     refused(client.post("/v1/jobs", content=b"{}", headers=headers), status)
 
 
+@pytest.mark.parametrize("name", ["127.0.0.1", "localhost", "LocalHost", "[::1]"])
+@pytest.mark.parametrize("port", ["", ":80"])
+def test_the_service_answers_to_each_of_its_names(
+    client: httpx.Client, name: str, port: str
+) -> None:
+    assert client.get("/healthz", headers={"host": name + port}).status_code == 200
+
+
 def test_large_bodies_are_413(client: httpx.Client) -> None:
     def chunks() -> Iterator[bytes]:
         for _ in range(100):
