@@ -116,10 +116,11 @@ def test_a_site_by_day_and_night() -> None:
 
 
 def test_a_measured_sky_holds_by_day_in_its_own_exposures() -> None:
-    """A render takes a uniform sky for measured: what it draws at noon is not called daylight."""
-    scene = night(targets=GEO, pointing=TRACK, epoch="2019-04-20T22:00:00Z",
+    """A render takes a uniform sky for measured: the rising Sun of its frames is no daylight."""
+    west = [{"name": "ball", "orbit": in_high_orbit(250.0), "body": BALL}]
+    scene = night(targets=west, pointing=TRACK, epoch="2019-04-20T17:00:00Z",
                   background={"uniform_e_per_s": 3.0})  # fmt: skip
-    assert "daylight" not in observe(parse_scene(scene)).counts()
+    assert observe(parse_scene(scene)).counts() == {"yes": 3}
 
 
 def test_a_camera_that_looks_at_the_ground() -> None:
