@@ -7,7 +7,7 @@ import hashlib
 import os
 import shutil
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, permutations
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,13 +19,13 @@ from lsst_refcat import convert
 from star_rows import random_stars, same_rows, write_csv
 
 from catalog_tools.catalogue import REJECTS_NAME, SOURCES_NAME, open_catalogue
-from catalog_tools.columns import STORED
+from catalog_tools.columns import HEALPIX_COLUMN, NAMES, STORED
 from catalog_tools.coverage import all_sky
 from catalog_tools.errors import BadInput, Damaged, Incomplete
 from catalog_tools.fetch.fetched import note_coverage
 from catalog_tools.forms import load_form
 from catalog_tools.info import info
-from catalog_tools.ingest import batches, build, leaves, memory, publish
+from catalog_tools.ingest import batches, build, duplicates, leaves, memory, publish
 from catalog_tools.ingest.ingest import FileSource, ingest
 from catalog_tools.ingest.judging import PLACE_COLUMN
 from catalog_tools.ingest.shards import band_slices
@@ -159,6 +159,19 @@ def test_same_duplicates_stay_for_any_order_of_files(tmp_path):
     assert sorted(cone(first.catalogue, 0, 0, 180)[0]["source_id"].to_pylist()) == sorted(
         stars["source_id"].to_pylist()
     )
+
+
+def test_same_row_of_one_place_stays_for_any_order_of_rows(tmp_path):
+    """Rows of one star and pixel that differ in G: which one stays is a matter of content."""
+    np.array([7]).tofile(tmp_path / duplicates.IDS_NAME)
+    np.array([5]).tofile(tmp_path / duplicates.PIXELS_NAME)
+    repeated, stays = duplicates.Repeated(tmp_path), set()
+    for g_mag in permutations([9.0, 8.0, 10.0]):
+        rows = dict.fromkeys(NAMES, np.zeros(3)) | {"source_id": np.full(3, 7)}
+        rows |= {HEALPIX_COLUMN: np.full(3, 5), PLACE_COLUMN: np.arange(3)}
+        rows["phot_g_mean_mag"] = np.array(g_mag)
+        stays.add(tuple(np.delete(rows["phot_g_mean_mag"], repeated.surplus(rows))))
+    assert len(stays) == 1 == len(stays.pop())
 
 
 def test_same_duplicates_found_in_many_buckets(tmp_path, parts, monkeypatch):
