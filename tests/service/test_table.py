@@ -275,6 +275,17 @@ def test_bytes_that_two_teams_uploaded_stay_for_the_other(database: str, tmp_pat
     store.close()
 
 
+def test_files_are_listed_oldest_first(database: str, tmp_path: Path) -> None:
+    store = Queue(database)
+    with store.engine.begin() as db:
+        for age_s, name in enumerate(("a.csv", "c.csv", "b.csv")):
+            row = {"id": name, "name": name, "bytes": 1, "created_s": 9.0 - age_s}
+            db.execute(sa.insert(uploads), [row | {"team": "red"}])
+    listed = Uploads(Settings(tmp_path), store.engine).listing("red")
+    assert [file["name"] for file in listed] == ["b.csv", "c.csv", "a.csv"]
+    store.close()
+
+
 def test_the_lease_has_one_holder(database: str) -> None:
     store = Queue(database)
     submit_many(store, [ask()], TeamLimits())
