@@ -19,7 +19,7 @@ from pipeline.plan.pointing.geometry import (
     sampled_frames,
     star_paths,
 )
-from pipeline.plan.stars.brightest import brightest_star_e, brightest_target_e
+from pipeline.plan.stars.brightest import brightest_star_e, brightest_target_e, star_radius_rad
 from pipeline.plan.timing import (
     end_s,
     frame_count,
@@ -212,6 +212,14 @@ def test_the_floor_of_each_frame_is_that_of_its_own_exposure(scene: Make, photon
         assert plan.snr_floor_e2(frame, *np.zeros((2, 1))) == pytest.approx(told, rel=1e-12)
     assert facts.sigma_floor_e == plan.floor_e(1)
     assert (facts.background_e, facts.dark_e) == (14.0, 6.0)
+
+
+def test_the_brightest_star_is_looked_for_as_far_around_the_frame_again(scene: Make) -> None:
+    """Of a camera at rest: within twice the angle to its corner."""
+    s = scene()
+    corner_rad = np.arctan(0.5 * np.hypot(512, 768) * 10e-6 / 1.0)
+    found = star_radius_rad(s, plan_geometry(s, sampled_frames(s), 0.0))
+    assert found == pytest.approx(np.full(found.shape, 2.0 * corner_rad), rel=1e-9)
 
 
 def test_the_brightest_source_is_that_of_the_longest_exposure(scene: Make) -> None:
