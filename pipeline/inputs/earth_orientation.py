@@ -74,18 +74,38 @@ def gather_turn_off_rad(scene: Scene) -> float:
     dut1_s, unknown = gather_dut1_s(*epoch)
     if not isinstance(scene.observer, GroundObserver) or unknown or last_s < DAY_S:
         return 0.0
-    looks = min(2 + int(last_s / DAY_S), MOST_LOOKS)
-    left = instants(epoch, np.linspace(0.0, last_s, looks), dut1_s)
-    poles, worst = [], 0.0
-    for k, utc in enumerate(zip(left.utc1, left.utc2, strict=True)):
-        dut1_s, unknown = gather_dut1_s(*utc)
-        poles.append(np.array(gather_pole_arcsec(*utc) or (0.0, 0.0)))
-        if not unknown:
-            own = instants(utc, [0.0], dut1_s)
-            late_s = DAY_S * ((own.ut11[0] - left.ut11[k]) + (own.ut12[0] - left.ut12[k]))
-            moved_rad = ARCSEC_RAD * float(np.hypot(*(poles[-1] - poles[0])))
-            worst = max(worst, EARTH_ROTATION_RAD_S * abs(float(late_s)) + moved_rad)
-    return worst
+    return turn_off_rad(epoch, 0.0, 0.0, last_s, dut1_s)
+
+
+def turn_off_rad(
+    epoch: tuple[float, float], known_s: float, first_s: float, last_s: float, dut1_s: float
+) -> float:
+    """How far [rad] the Earth is between two times after an epoch from where a UT1 and the pole of
+    another time, `known_s`, have it: day by day, in long spans at MOST_LOOKS moments."""
+    looks = min(2 + int((last_s - first_s) / DAY_S), MOST_LOOKS)
+    [pole, *poles], late_s = zip(
+        *(gather_turned(epoch, t, dut1_s) for t in [known_s, *np.linspace(first_s, last_s, looks)]),
+        strict=True,
+    )
+    start = pole or (0.0, 0.0)
+    moved = [np.hypot(*np.subtract(start if p is None else p, start)) for p in poles]
+    turned = EARTH_ROTATION_RAD_S * np.abs(late_s[1:])
+    return float((turned + ARCSEC_RAD * np.array(moved)).max())
+
+
+def gather_turned(
+    epoch: tuple[float, float], offset_s: float, dut1_s: float
+) -> tuple[tuple[float, float] | None, float]:
+    """The pole [arcsec] at a time after an epoch, and by how much UT1 is then more than as a
+    UT1 - UTC of the epoch has it [s]; None and 0 where no table tells."""
+    left = instants(epoch, [offset_s], dut1_s)
+    utc = float(left.utc1[0]), float(left.utc2[0])
+    then_s, unknown = gather_dut1_s(*utc)
+    if unknown:
+        return None, 0.0
+    own = instants(utc, [0.0], then_s)
+    late_s = DAY_S * ((own.ut11[0] - left.ut11[0]) + (own.ut12[0] - left.ut12[0]))
+    return gather_pole_arcsec(*utc), float(late_s)
 
 
 class Day(NamedTuple):

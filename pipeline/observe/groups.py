@@ -5,18 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from pipeline.errors import BadInput
+from pipeline.inputs.earth_orientation import gather_turned, turn_off_rad
 from pipeline.inputs.targets.populations import screened
 from pipeline.observe.times import Times
+from pipeline.physics.constants import ARCSEC_RAD, DAY_S, EARTH_EQUATORIAL_RADIUS_M
+from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.pointing.geometry import zenith_pointing
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.responses import plan_responses
-from pipeline.plan.targets.orbit_age import oldest_remarks
+from pipeline.plan.targets.orbit_age import oldest_remarks, two_body_remarks
 from pipeline.plan.targets.populations import whole_sky
 from pipeline.plan.timing import longest_s
 from pipeline.resolve.files import read_files, with_numbers
 from pipeline.resolve.resolve import resolve
 from pipeline.spec.accept import ACCEPTABLE
+from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
+
+SAID_RAD = 0.1 * ARCSEC_RAD  # from which a wrong turn of the Earth is told
 
 
 @dataclass(frozen=True)
@@ -46,6 +52,10 @@ def groups_of(asked: Scene, times: Times) -> tuple[list[Group], list[str]]:
     notes += _omitted(whole.scene)
     if not times.as_exposed or whole is not sensor:
         notes += oldest_remarks(whole.scene, first, last)
+    if not times.as_exposed:
+        notes += two_body_remarks(whole.scene, first, last)
+        whole, turned = _turned(asked, whole, first, last)
+        notes += turned
     if not as_drawn or whole is sensor:
         return [Group(whole, 0, as_drawn)], notes
     drawn, everyone = {t.name for t in sensor.scene.targets}, whole.scene.targets
@@ -95,6 +105,29 @@ def _whole(asked: Scene, sensor: ResolvedScene, first_s: float, last_s: float) -
     bare = sensor.scene.model_copy(update={"targets": own, "populations": asked.populations})
     scene = with_numbers(screened(bare, whole_sky(bare, first_s - spare, last_s + spare)))
     return replace(sensor, scene=scene)
+
+
+def _turned(
+    asked: Scene, r: ResolvedScene, first_s: float, last_s: float
+) -> tuple[ResolvedScene, list[str]]:
+    """The scene with UT1 and the pole of the middle of some times, where these are a day or more
+    from its epoch, and what is left to say of them."""
+    middle_s, epoch = 0.5 * (first_s + last_s), parse_utc(asked.epoch)
+    if max(abs(first_s), abs(last_s)) < DAY_S or not isinstance(asked.observer, GroundObserver):
+        return r, []
+    pole, late_s = gather_turned(epoch, middle_s, r.dut1_s)
+    scene = r.scene
+    if asked.observer.polar_motion_arcsec is None and pole is not None:
+        observer = scene.observer.model_copy(update={"polar_motion_arcsec": pole})
+        scene = scene.model_copy(update={"observer": observer})
+    dut1_s = r.dut1_s + late_s
+    off_rad = turn_off_rad(epoch, middle_s, first_s, last_s, dut1_s)
+    note = (
+        "the Earth's turn (UT1) and pole are those of the middle of the times asked for: at others "
+        f"a site is turned by up to {off_rad / ARCSEC_RAD:.2g} arcsec, "
+        f"{off_rad * EARTH_EQUATORIAL_RADIUS_M:.2g} m, wrongly"
+    )
+    return replace(r, scene=scene, dut1_s=dut1_s), [note] * (off_rad > SAID_RAD)
 
 
 def _omitted(scene: Scene) -> list[str]:

@@ -21,7 +21,13 @@ from pipeline.observe.on_axis import on_axis_light_e, on_axis_snr, on_axis_strea
 from pipeline.observe.reasons import REASONS, seen_of
 from pipeline.observe.times import Times, times_of
 from pipeline.physics.positions.times import format_utc
-from pipeline.plan.pointing.geometry import geometry_anywhere, plan_geometry
+from pipeline.plan.pointing.geometry import (
+    FEWEST_NODES,
+    geometry_anywhere,
+    light_nodes,
+    plan_geometry,
+)
+from pipeline.plan.pointing.timescales import changing
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.timing import frame_times
 from pipeline.spec.scene import Scene
@@ -129,23 +135,56 @@ def _rows(
     group: Group, at: Times, part: slice, least_snr: float, centroid_seed: int | None
 ) -> pa.Table:
     """The rows of some of the times."""
-    plan, frames = group.resolved, at.frame[part]
-    g = (
-        plan_geometry(plan.scene, frames, plan.dut1_s)
-        if group.as_drawn
-        else geometry_anywhere(plan.scene, frames, plan.dut1_s, at.late_s[part])
+    every, which = np.arange(part.start, part.stop), changing(group.resolved.scene)
+    g = _geometry(group, at, every, FEWEST_NODES)
+    asked = np.full(len(every), FEWEST_NODES)
+    if which.any():
+        asked = light_nodes(group.resolved.scene, g, which)
+    return pa.concat_tables(
+        _rows_of(group, at, every[asked == nodes], int(nodes), least_snr, centroid_seed)
+        for nodes in np.unique(asked)
     )
+
+
+def _geometry(group: Group, at: Times, which: NDArray[np.int64], nodes: int) -> Geometry:
+    """The geometry of some of the times, at so many nodes or, as drawn, at more."""
+    plan, frames = group.resolved, at.frame[which]
+    if group.as_drawn:
+        return plan_geometry(plan.scene, frames, plan.dut1_s, nodes)
+    return geometry_anywhere(plan.scene, frames, plan.dut1_s, at.late_s[which], nodes)
+
+
+def _rows_of(
+    group: Group,
+    at: Times,
+    which: NDArray[np.int64],
+    nodes: int,
+    least_snr: float,
+    centroid_seed: int | None,
+) -> pa.Table:
+    """The rows of some of the times, whose light asks for so many nodes.
+
+    At the scene's exposures the drawing has as many as the targets near the frame ask for: of
+    these the rows are as drawn, of all others as more nodes have it.
+    """
+    plan, frames = group.resolved, at.frame[which]
+    g = finer = _geometry(group, at, which, nodes)
+    if group.as_drawn and nodes > FEWEST_NODES:
+        g = _geometry(group, at, which, FEWEST_NODES)
     angles = angles_of(plan, g)
     columns, near, in_field = _truth(plan, g)
-    _fill_others(plan, g, angles, columns, ~near)
+    if finer is not g:
+        others = _truth(plan, finer)[0]
+        columns = {name: np.where(near, own, others[name]) for name, own in columns.items()}
+    _fill_others(plan, finer, angles, columns, ~near)
     exposed_s = frame_times(plan.scene, frames)[1][:, None]
     exposed_s = np.where(exposed_s > 0.0, exposed_s, np.nan)  # bias frames have no rate
     columns |= angles.columns | {"electrons_per_s": columns["electrons"] / exposed_s}
     seen = seen_of(plan, g, angles, columns, in_field, least_snr)
     if centroid_seed is not None:
-        columns |= _measured(plan, g, seen == "yes", centroid_seed, part.start)
+        columns |= _measured(plan, g, seen == "yes", centroid_seed, which)
     words = {"seen": seen, "snr_at": np.where(near, "frame", "boresight")}
-    return _table(plan, g, {**columns, **words}, part.start, group)
+    return _table(plan, g, {**columns, **words}, which, group)
 
 
 def _truth(plan: ResolvedScene, g: Geometry) -> tuple[dict[str, Array], Mask, Mask]:
@@ -168,13 +207,13 @@ def _truth(plan: ResolvedScene, g: Geometry) -> tuple[dict[str, Array], Mask, Ma
 
 
 def _measured(
-    plan: ResolvedScene, g: Geometry, seen: Mask, seed: int, start: int
+    plan: ResolvedScene, g: Geometry, seen: Mask, seed: int, moments: NDArray[np.int64]
 ) -> dict[str, Array]:
-    """Columns (F, T) of MEASURED; NaN where a target is not seen."""
+    """Columns (F, T) of MEASURED; NaN where a target is not seen. moments : (F,) their numbers"""
     columns = {name: np.full(seen.shape, np.nan) for name in MEASURED}
     for k in np.flatnonzero(seen.any(axis=1)):
         which = np.flatnonzero(seen[k])
-        found = measured(plan, g.frame_slice(int(k)), which, seed, start + int(k))
+        found = measured(plan, g.frame_slice(int(k)), which, seed, int(moments[k]))
         for name, value in found.items():
             columns[name][k, which] = value
     return columns
@@ -195,9 +234,13 @@ def _fill_others(
 
 
 def _table(
-    plan: ResolvedScene, g: Geometry, columns: dict[str, Array], start: int, group: Group
+    plan: ResolvedScene,
+    g: Geometry,
+    columns: dict[str, Array],
+    moments: NDArray[np.int64],
+    group: Group,
 ) -> pa.Table:
-    """Rows of a group's targets, frame by frame."""
+    """Rows of a group's targets, frame by frame. moments : (F,) their numbers"""
     targets, first = plan.scene.targets, group.first
     shape = (len(g.frame), len(targets) - first)
     moment, index = (np.ravel(v) for v in np.indices(shape))
@@ -209,7 +252,7 @@ def _table(
         "utc": pa.array(utc).take(pa.array(moment)),
         "name": pa.array(names, pa.string()).take(pa.array(index)),
         "object_name": pa.array(objects, pa.string()).take(pa.array(index)),
-        "moment": pa.array(moment + start),
+        "moment": pa.array(moments[moment]),
         "index": pa.array(index + (0 if group.as_drawn else MOST_ROWS)),  # those drawn first
     }
     return pa.table(words | {k: pa.array(v[:, first:].ravel()) for k, v in columns.items()})

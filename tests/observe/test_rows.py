@@ -157,6 +157,34 @@ def test_out_of_the_field_of_a_camera_that_follows_another() -> None:
     assert followed["streak_px"] < 0.15 * passed["streak_px"]
 
 
+@pytest.mark.parametrize("where", ["frame", "beside", "other times"])
+def test_a_spinning_plate_shines_as_in_the_mean_of_its_turns(where: str) -> None:
+    """Of whole turns in an exposure the light is that of one turn, however many there are.
+
+    Nine looks in an exposure, each at the same face, saw a dark plate or one twice too bright.
+    """
+    quaternion = {"quaternion": [0.8, 0.3, -0.4, 0.33]}
+    plates = [
+        {"name": f"{turns}", "orbit": in_high_orbit(150.0),
+         "body": {"kind": "plate", "area_m2": 30.0, "albedo": 0.3,
+                  "attitude": {"kind": "spin", "rate_deg_s": 36.0 * turns, "axis": [1, 0, 0]}
+                  | quaternion}}
+        for turns in (1, 4, 8)
+    ]  # fmt: skip
+    pointing = {"mode": "target", "target": "1"}
+    if where == "beside":
+        pointing = {"mode": "sidereal", "boresight_ra_deg": 10.0, "boresight_dec_deg": 80.0}
+    exposure = {"integration_s": 10.0, "frames": 1}
+    scene = parse_scene(night(targets=plates, pointing=pointing, exposure=exposure))
+    rows = observe(scene, [5.0, 40.0] if where == "other times" else None).table.to_pylist()
+    assert {row["snr_at"] for row in rows} == {"boresight" if where == "beside" else "frame"}
+    for first in range(0, len(rows), 3):
+        light = np.array([row["electrons"] for row in rows[first : first + 3]])
+        mags = np.array([row["v_mag"] for row in rows[first : first + 3]])
+        np.testing.assert_allclose(light, light[0], rtol=3e-3)
+        np.testing.assert_allclose(mags, mags[0], atol=3e-3)
+
+
 def test_out_of_the_field_each_exposure_has_its_own_time_and_noise() -> None:
     """Of two dwells the second is four times as long: as much light a second, and twice the SNR
     under a bright sky."""

@@ -354,11 +354,21 @@ def late_geometry(scene: Scene, g: Geometry, dut1_s: float, late_s: float) -> Ge
 
 
 def geometry_anywhere(
-    scene: Scene, frames: NDArray[np.int64], dut1_s: float, late_s: Array
+    scene: Scene,
+    frames: NDArray[np.int64],
+    dut1_s: float,
+    late_s: Array,
+    nodes: int = FEWEST_NODES,
 ) -> Geometry:
     """Geometry of exposures like those of frames (F,), each `late_s` (F,) later: of a camera that
-    looks at the ground too, at FEWEST_NODES, without random motion."""
-    return _geometry(scene, frames, FEWEST_NODES, dut1_s, late_s=late_s, anywhere=True)
+    looks at the ground too, without random motion."""
+    return _geometry(scene, frames, nodes, dut1_s, late_s=late_s, anywhere=True)
+
+
+def light_nodes(scene: Scene, g: Geometry, which: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Nodes (F,) that the light of some targets (T,) asks for, wherever they are."""
+    near = np.repeat(which[:, None], len(g.frame), axis=1)
+    return np.minimum(looks(scene, g, near), MOST_LIGHT_NODES)
 
 
 def watch(scene: Scene, offsets: Array, dut1_s: float, dwell: int) -> tuple[Array, Array, Array]:

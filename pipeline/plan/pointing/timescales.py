@@ -50,6 +50,13 @@ def looks(scene: Scene, g: Geometry, near: NDArray[np.bool_]) -> NDArray[np.int6
     return np.minimum(FEWEST * 2 ** doublings.astype(np.int64), MOST) + 1
 
 
+def changing(scene: Scene) -> NDArray[np.bool_]:
+    """Targets (T,) that a table or a turn of theirs changes: which `looks` has to look at."""
+    epoch = parse_utc(scene.epoch)
+    bodies = [t.body for t in scene.targets]
+    return np.array([any(_tables(b, epoch)) or any(_turns_s(b)) for b in bodies], np.bool_)
+
+
 def hurried_remarks(scene: Scene, g: Geometry, near: NDArray[np.bool_]) -> list[str]:
     """What is said where tables or turns are too fast for as many looks as there are."""
     asked = _asked(scene, g, near)
@@ -67,7 +74,7 @@ def hurried_remarks(scene: Scene, g: Geometry, near: NDArray[np.bool_]) -> list[
 
 def _asked(scene: Scene, g: Geometry, near: NDArray[np.bool_]) -> Array:
     """How many times (F,) each exposure should be looked at; at light, until its last row's end."""
-    start, time = frame_times(scene, g.frame)
+    start, time = g.offset_s[:, 0], frame_times(scene, g.frame)[1]
     plans, late_s = dwell_plans(scene), last_row_late_s(scene)
     which, shortest = dwell_of(plans, g.frame), np.full(len(g.frame), np.inf)
     for i in np.unique(which):

@@ -14,7 +14,12 @@ from pipeline.physics.constants import (
 from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.bodies.orbits import elements_epoch
-from pipeline.plan.targets.bounds import geocentric_m, longest_from_elements_s, table_error_m
+from pipeline.plan.targets.bounds import (
+    geocentric_m,
+    longest_from_elements_s,
+    table_error_m,
+    two_body_drift_m,
+)
 from pipeline.plan.timing import end_s
 from pipeline.spec.scene import Scene
 from pipeline.spec.targets.orbit import (
@@ -31,6 +36,7 @@ SUN_GM_M3_S2 = 1.327_124_400_18e20
 INFLUENCE_M = 9.24e8  # (GM_earth / GM_sun)^(2/5) au: beyond it the Sun's pull decides
 FRESH_DAYS, MOST_NAMED = 3.0, 20
 LOW_REV_DAY = 6.4  # of orbits of less than 225 minutes: SGP4's near-Earth theory
+SAID_M = 10.0  # from which two-body motion at other times is told
 LOW_KM_DAY, HIGH_KM_DAY, AT_EPOCH_KM = 3.0, 0.5, 1.0
 
 
@@ -93,10 +99,29 @@ def elements_error_m(age_days: float, rev_day: float) -> float:
 
 
 def oldest_remarks(scene: Scene, first_s: float, last_s: float) -> list[str]:
-    """How many targets have old elements between two times after the epoch, and the worst."""
+    """How many targets have old elements between two times after the epoch, and the worst; and
+    what is to be said of the observer's own."""
     found = [(t.name, _aged(scene, t.orbit, first_s, last_s)) for t in scene.targets]
     old = [(told[0], f"{name}: {told[1]}") for name, told in found if told is not None]
-    return [f"{len(old)} of the targets have old elements, the worst {max(old)[1]}"] if old else []
+    out = [f"{len(old)} of the targets have old elements, the worst {max(old)[1]}"] if old else []
+    observer = getattr(scene.observer, "orbit", None)
+    own = None if observer is None else _aged(scene, observer, first_s, last_s)
+    return out if own is None else [*out, f"the observer: {own[1]}"]
+
+
+def two_body_remarks(scene: Scene, first_s: float, last_s: float) -> list[str]:
+    """How far orbits of two bodies may be off between two times after the epoch, the worst."""
+    movers: list[tuple[str, object]] = [(t.name, t.orbit) for t in scene.targets]
+    movers.append(("the observer", getattr(scene.observer, "orbit", None)))
+    plain = [(name, o) for name, o in movers if isinstance(o, StateOrbit | KeplerianOrbit)]
+    off = [(two_body_drift_m(scene, o, first_s, last_s), name) for name, o in plain]
+    error_m, worst = max(off, default=(0.0, ""))
+    if error_m < SAID_M:
+        return []
+    return [
+        f"two-body motion of {len(off)} orbits: the Earth's oblateness, Moon and Sun are omitted; "
+        f"at the times asked for {worst} is expected to be up to {error_m / 1e3:.3g} km off"
+    ]
 
 
 def _aged(

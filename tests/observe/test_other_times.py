@@ -1,0 +1,83 @@
+"""Times far from a scene's epoch: the Earth as it is turned then, and what is said of orbits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from astropy.time import Time, TimeDelta
+from astropy.utils import iers
+from scipy.integrate import solve_ivp
+
+from pipeline.observe.groups import groups_of
+from pipeline.observe.observe import observe
+from pipeline.observe.times import times_of
+from pipeline.plan.targets.bounds import two_body_drift_m
+from pipeline.spec.load import parse_scene
+from tests.observe.conftest import night
+
+GM, RADIUS_M, J2 = 3.986004418e14, 6378137.0, 1.0826267e-3
+DAY_S = 86400.0
+
+
+def test_the_earth_is_turned_as_it_is_at_the_times_asked_for() -> None:
+    """UT1 and the pole against astropy's own reading of the IERS tables, 250 days on."""
+    scene = parse_scene(night())
+    first, last = 250.0 * DAY_S, 250.01 * DAY_S
+    [group], notes = groups_of(scene, times_of(scene, [first, last]))
+    then = Time("2019-04-20T10:00:00", scale="utc") + TimeDelta(250.005, format="jd")
+    table = iers.IERS_B.open()
+    pole = [v.to_value("arcsec") for v in table.pm_xy(then)]
+    assert group.resolved.dut1_s == pytest.approx(table.ut1_utc(then).to_value("s"), abs=1e-4)
+    observer = group.resolved.scene.observer
+    assert observer.polar_motion_arcsec == pytest.approx(pole, abs=1e-3)
+    assert not any("UT1" in note for note in notes)
+    [group], notes = groups_of(scene, times_of(scene, [0.0, last]))
+    [told] = [note for note in notes if "UT1" in note]
+    off_s = np.ptp(table.ut1_utc(Time([2458593.9166667, then.jd], format="jd", scale="utc")).value)
+    assert float(told.split("up to ")[1].split()[0]) > 0.4 * off_s * 15.0
+
+
+def test_within_a_day_the_earth_is_as_in_the_scene() -> None:
+    scene = parse_scene(night())
+    own, _ = groups_of(scene, times_of(scene, None))
+    other, _ = groups_of(scene, times_of(scene, [0.5 * DAY_S]))
+    assert own[0].resolved.dut1_s == other[0].resolved.dut1_s
+
+
+def flattened(_: float, state: np.ndarray) -> np.ndarray:
+    """Pull of a flattened Earth (Vallado 2013, eq. 8-30)."""
+    place, r = state[:3], float(np.sqrt(state[:3] @ state[:3]))
+    z2 = 5.0 * place[2] ** 2 / r**2
+    more = 1.5 * J2 * (RADIUS_M / r) ** 2 * np.array([1.0 - z2, 1.0 - z2, 3.0 - z2])
+    return np.concatenate([state[3:], -GM / r**3 * place * (1.0 + more)])
+
+
+@pytest.mark.parametrize("hours", [1.0, 7.0, 30.0])
+@pytest.mark.parametrize("height_m", [5e5, 1.2e6])
+def test_two_body_motion_is_off_by_no_more_than_told(height_m: float, hours: float) -> None:
+    """Against an integration with the Earth's oblateness, for some inclinations."""
+    r, off_m, told_m = RADIUS_M + height_m, [], []
+    for inclination_deg in (10.0, 51.6, 97.6):
+        tilt = np.radians(inclination_deg)
+        v = np.sqrt(GM / r) * np.array([0.0, np.cos(tilt), np.sin(tilt)])
+        start = np.array([r, 0.0, 0.0, *v])
+        orbit = {"kind": "state", "position_m": start[:3].tolist(), "velocity_m_s": v.tolist()}
+        scene = parse_scene(night(targets=[night()["targets"][0] | {"orbit": orbit}]))
+        time_s = hours * 3600.0
+        ends = solve_ivp(flattened, (0.0, time_s), start, rtol=1e-10, atol=1e-4, t_eval=[time_s])
+        angle = np.sqrt(GM / r**3) * time_s
+        alone = np.cos(angle) * start[:3] + np.sin(angle) * r * v / np.sqrt(GM / r)
+        off_m.append(float(np.hypot.reduce(ends.y[:3, 0] - alone)))
+        told_m.append(two_body_drift_m(scene, scene.targets[0].orbit, 0.0, time_s))
+    assert max(off_m) <= told_m[0] <= 8.0 * max(off_m)
+
+
+def test_old_orbits_are_told_at_the_times_asked_for() -> None:
+    """Of targets, and of the observer, whom nobody else looks at."""
+    state = {"kind": "state", "position_m": [7e6, 0.0, 0.0], "velocity_m_s": [0.0, 7546.0, 0.0]}
+    seen_from = {"kind": "orbit", "orbit": state}
+    scene = parse_scene(night(observer=seen_from, background=None))
+    notes = observe(scene, [0.0, 10.0 * 3600.0]).notes
+    [told] = [note for note in notes if "two-body motion" in note]
+    assert "the observer is expected" in told
+    assert not any("two-body motion" in note for note in observe(scene, [0.0, 10.0]).notes)
