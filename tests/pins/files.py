@@ -169,12 +169,14 @@ def _summed(line: str) -> str:
 
 
 def _orbits(folder: Path) -> None:
-    """A population, its sizes, mean elements as JSON, and a circle's places as CSV."""
+    """Two populations at the same places, sizes, mean elements as JSON, a circle as CSV."""
     near = {"A DEB": 0.004, "B": -0.006, "C": 0.009, "D": 3.0}
-    rows: list[str] = []
-    for i, (name, off_deg) in enumerate(near.items()):
-        rows += [f"OBJECT {name}", *elements(101 + i, GEO_PHASE_DEG + off_deg)]
-    _text(folder / "population.tle", rows)
+    rows: list[str]
+    for file, first in (("population", 101), ("beside", 201)):
+        rows = []
+        for i, (name, off_deg) in enumerate(near.items()):
+            rows += [f"OBJECT {name}", *elements(first + i, GEO_PHASE_DEG + off_deg)]
+        _text(folder / f"{file}.tle", rows)
     _text(folder / "sizes.csv", ["norad_id,diameter_m,albedo", "102,5.0,0.4", "103,,0.3"])
     told: dict[str, Any] = {
         "OBJECT_NAME": "ONE", "OBJECT_ID": "2019-001A", "NORAD_CAT_ID": 1,

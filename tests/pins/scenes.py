@@ -555,7 +555,7 @@ SCENES: dict[str, Changes] = {
             {"name": "crowd", "path": "@population.tle", "sizes": "@sizes.csv", "eclipse": False,
              "rules": [{"name_contains": "DEB", "diameter_m": 9.0, "albedo": 0.6}],
              "body": SPHERE | {"diameter_m": 4.0}},
-            {"name": "dim", "path": "@population.tle", "body": SPHERE, "eclipse": True},
+            {"name": "dim", "path": "@beside.tle", "body": SPHERE, "eclipse": True},
         ],
     },
 }  # fmt: skip

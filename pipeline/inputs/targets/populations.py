@@ -5,7 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.inputs.targets.population_files import element_sets, file_digest, read_sizes
-from pipeline.plan.targets.populations import SearchView, Sieve, look_of, with_members
+from pipeline.plan.targets.populations import (
+    SearchView,
+    Sieve,
+    Sizes,
+    look_of,
+    nearest_of_all,
+    with_members,
+)
 from pipeline.spec.scene import Scene, Target
 from pipeline.spec.targets.population import Population
 
@@ -22,18 +29,29 @@ def gather_populations(scene: Scene, halo_px: float, dut1_s: float) -> Scene:
 
 
 def screened(scene: Scene, look: SearchView) -> Scene:
-    """The same of the objects that a look finds."""
+    """The same of the objects that a look finds: an object that several populations have once."""
+    sieves = {
+        i: _sifted(population, look, f"populations.{i}")
+        for i, population in enumerate(scene.populations)
+        if population.screened is None
+    }
+    counts = dict(zip(sieves, nearest_of_all([*sieves.values()]), strict=True))
     found: list[tuple[list[Target], Population]] = []
     for i, population in enumerate(scene.populations):
-        if population.screened is not None:
+        if i in sieves:
+            found.append(sieves[i].close(file_digest(Path(population.path)), counts[i]))
+        else:
             found.append(([], population))
-            continue
-        field = f"populations.{i}"
-        sizes = (
-            {} if population.sizes is None else read_sizes(Path(population.sizes), f"{field}.sizes")
-        )
-        sieve = Sieve(population, look, sizes, field)
-        for batch in element_sets(Path(population.path), f"{field}.path"):
-            sieve.take(batch)
-        found.append(sieve.close(file_digest(Path(population.path))))
     return with_members(scene, found)
+
+
+def _sifted(population: Population, look: SearchView, place: str) -> Sieve:
+    """A population's file, looked through; `place` names it in messages."""
+    sizes: Sizes = {}
+    if population.sizes is not None:
+        sizes = read_sizes(Path(population.sizes), f"{place}.sizes")
+    sieve = Sieve(population, look, sizes, place)
+    for batch in element_sets(Path(population.path), f"{place}.path"):
+        sieve.take(batch)
+    sieve.check_read()
+    return sieve

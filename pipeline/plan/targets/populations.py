@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -201,18 +201,28 @@ class Sieve:
             eclipse=self.population.eclipse,
         )
 
-    def close(self, digest: str) -> tuple[list[Target], Population]:
-        """The targets, and the population with what the screen found.
+    @property
+    def sets(self) -> tuple[NDArray[np.int64], Array]:
+        """Catalogue numbers and ages [s] (n,) of the sets that can be used."""
+        numbers = np.concatenate([np.zeros(0, np.int64), *self.numbers])
+        return numbers, np.concatenate([np.zeros(0), *self.ages_s])
 
-        Of an object with several sets the one nearest to the scene's epoch counts, whether it comes
-        into the field or not. BadInput where no set of the file can be read.
-        """
+    def check_read(self) -> None:
+        """BadInput where no set of the file can be read."""
         if self.read == self.unreadable:
             shown = self.told[0] if self.told else "nothing"
             raise BadInput(f"{self.place}.path", shown, "element sets that can be read")
-        numbers = np.concatenate([np.zeros(0, np.int64), *self.numbers])
-        ages = np.concatenate([np.zeros(0), *self.ages_s])
-        counts = nearest_sets(numbers, ages)
+
+    def close(
+        self, digest: str, counts: NDArray[np.bool_] | None = None
+    ) -> tuple[list[Target], Population]:
+        """The targets, and the population with what the screen found.
+
+        Of an object with several sets the one nearest to the scene's epoch counts, whether it comes
+        into the field or not. counts : which of `sets` do among those of all populations
+        """
+        nearest = nearest_sets(*self.sets)
+        counts = nearest if counts is None else counts
         chosen = [target for k, target in self.kept if counts[k]]
         look = self.look
         told = Screened(
@@ -220,13 +230,22 @@ class Sieve:
             read=self.read,
             kept=len(chosen),
             unreadable=self.unreadable,
-            superseded=int((~counts).sum()),
+            superseded=int((~nearest).sum()),
+            elsewhere=int((nearest & ~counts).sum()),
             failed=tuple(sorted(self.failed.items())),
             left_out=tuple(self.told),
             half_angle_deg=float(np.degrees(look.half_angle_rad)),
             dwell_s=look.length_s,
         )
         return chosen, self.population.model_copy(update={"screened": told})
+
+
+def nearest_of_all(sieves: Sequence[Sieve]) -> list[NDArray[np.bool_]]:
+    """Which sets of each population count where all of them are looked at as one."""
+    sets = [sieve.sets for sieve in sieves]
+    numbers, ages = (np.concatenate([one[k] for one in sets]) for k in (0, 1))
+    edges = np.cumsum([len(one[0]) for one in sets])[:-1]
+    return np.split(nearest_sets(numbers, ages), edges)
 
 
 def nearest_sets(number: NDArray[np.int64], age_s: Array) -> NDArray[np.bool_]:
@@ -267,10 +286,11 @@ def with_members(scene: Scene, found: list[tuple[list[Target], Population]]) -> 
     """The scene with the populations' kept objects after its own targets. BadInput for names that
     are taken, or too many targets."""
     targets = [*scene.targets, *(t for members, _ in found for t in members)]
-    names = Counter(t.name for t in targets)
-    if len(names) < len(targets):
-        twice = names.most_common(1)[0][0]
-        raise BadInput("populations", twice, "names of targets and populations that do not clash")
+    for names in (Counter(t.name for t in targets), Counter(p.name for _, p in found)):
+        for twice, count in names.most_common(1):
+            if count > 1:
+                allowed = "names of targets and populations that do not clash"
+                raise BadInput("populations", twice, allowed)
     if len(targets) > MOST_TARGETS:
         raise BadInput("populations", f"{len(targets)} targets", f"at most {MOST_TARGETS} in all")
     populations = tuple(population for _, population in found)
@@ -285,18 +305,37 @@ def population_decisions(scene: Scene) -> list[Decision]:
         s = p.screened
         if s is None:
             continue
-        parts = [
-            f"{s.kept} of {s.read} element sets come within {s.half_angle_deg:.4g} deg of the "
-            f"boresight (the frame's corner and all that sends light into it) during the "
-            f"{s.dwell_s:g} s of {dwells}; for the others the screen proves that they do not"
-        ]
-        if not s.kept:
+        parts, own = [], s.read - s.elsewhere
+        if own:
+            parts.append(
+                f"{s.kept} of {own} element sets come within {s.half_angle_deg:.4g} deg of the "
+                f"boresight (the frame's corner and all that sends light into it) during the "
+                f"{s.dwell_s:g} s of {dwells}; for the others the screen proves that they do not"
+            )
+        if own and not s.kept:
             parts.append("`nightglass find SCENE` lists those that can be seen, and where")
         if s.superseded:
             have = "set has" if s.superseded == 1 else "sets have"
             parts.append(f"{s.superseded} {have} a younger one of the same object")
+        if s.elsewhere:
+            parts.append(_elsewhere(s.elsewhere, s.read))
         parts += [f"{n} omitted: {_meaning(code)}" for code, n in s.failed]
         if s.unreadable:
             parts.append(f"{s.unreadable} omitted: not readable ({s.left_out[0]})")
         out.append(Decision(f"populations.{p.name}", s.kept > 0, "; ".join(parts), 0.0, 0.0))
     return out
+
+
+def shared_remarks(scene: Scene) -> list[str]:
+    """How many objects of each population are left out, as another one has them."""
+    found = [(p.name, p.screened) for p in scene.populations if p.screened is not None]
+    return [
+        f"populations.{name}: {_elsewhere(s.elsewhere, s.read)}" for name, s in found if s.elsewhere
+    ]
+
+
+def _elsewhere(count: int, read: int) -> str:
+    return (
+        f"{count} of {read} element sets omitted: another population has the same object, with "
+        "elements nearer to the epoch, or as near and named before"
+    )

@@ -29,6 +29,7 @@ class Screened(Strict):
 
     read : element sets; kept : of them, those that stand among the targets
     superseded : sets of objects that have another set nearer to the scene's epoch
+    elsewhere : sets of objects that another population has: nearer to the epoch, or named before
     unreadable : sets that are malformed; failed : pairs of SGP4's error code and how many sets end
     left_out : the first of the unreadable and the failed, by name and reason
     """
@@ -37,6 +38,7 @@ class Screened(Strict):
     read: Count
     kept: Count
     superseded: Count
+    elsewhere: Count = 0
     unreadable: Count
     failed: tuple[tuple[Count, Count], ...] = Field((), max_length=256)
     left_out: tuple[Annotated[str, Field(max_length=400)], ...] = Field((), max_length=MOST_TOLD)

@@ -18,7 +18,7 @@ from sgp4.api import Satrec
 from benchmarks.targets import EPOCH, population
 from pipeline.errors import BadInput
 from pipeline.inputs.targets import population_files
-from pipeline.inputs.targets.populations import gather_populations
+from pipeline.inputs.targets.populations import gather_populations, screened
 from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.refraction import refract
 from pipeline.physics.positions.times import instants, parse_utc
@@ -28,7 +28,7 @@ from pipeline.plan.bodies.sights import Moments
 from pipeline.plan.pointing.air import air_of
 from pipeline.plan.pointing.geometry import _observer, _vantage, camera_of
 from pipeline.plan.pointing.pointing import attitudes
-from pipeline.plan.targets.populations import Sieve, look_of, with_members
+from pipeline.plan.targets.populations import Sieve, look_of, whole_sky, with_members
 from pipeline.plan.timing import dwell_plans
 from pipeline.route.prepare import plan_scene, prepare
 from pipeline.route.run import Options, render
@@ -36,6 +36,7 @@ from pipeline.spec.load import load_scene, parse_scene
 from pipeline.spec.scene import Scene, Target
 from pipeline.spec.targets.orbit import TleOrbit
 from pipeline.store.cube import open_cube
+from pipeline.survey.elements import gather_elements
 
 COUNT = 1200
 BALL = {"kind": "sphere", "diameter_m": 2.0, "albedo": 0.2}
@@ -435,6 +436,39 @@ def test_a_set_that_fails_outdates_none(tle: Path) -> None:
     assert [t.object_name for t in targets] == ["-9"]
     assert population.screened is not None
     assert (population.screened.superseded, population.screened.failed) == (0, ((6, 1),))
+
+
+def test_an_object_of_two_populations_is_drawn_once(lines: list[list[str]], tmp_path: Path) -> None:
+    """By the one whose elements are nearest to the epoch, of such the first, as studies have it;
+    what is left out of which population is told."""
+
+    def of_day(day: int, name: str, line1: str, line2: str) -> str:
+        body = f"{line1[:20]}{day}{line1[23:68]}"
+        checksum = sum(int(c) if c.isdigit() else c == "-" for c in body) % 10
+        return f"{name}\n{body}{checksum}\n{line2}\n"
+
+    (tmp_path / "a").write_text("".join(of_day(108, *x) for x in lines[1:61]))
+    (tmp_path / "b").write_text(  # every other one is younger
+        "".join(of_day(109 if k % 2 else 108, *x) for k, x in enumerate(lines[31:91]))
+    )
+    both = [{"name": name, "path": str(tmp_path / name), "body": BALL} for name in "ab"]
+    crowd = scene(tmp_path / "a", populations=both)
+    found = screened(crowd, whole_sky(crowd, 0.0, 1.0))
+    numbers = [int(line1[2:7]) for _, line1, _ in lines[1:91]]
+    assert {t.name for t in found.targets} == {
+        f"{'b' if k >= 60 or (k >= 30 and k % 2) else 'a'}-{n}" for k, n in enumerate(numbers)
+    }
+    told = [p.screened for p in found.populations if p.screened is not None]
+    assert [(s.read, s.superseded, s.elsewhere) for s in told] == [(60, 0, 15), (60, 0, 15)]
+    _, census = gather_elements(crowd.populations, parse_utc(EPOCH))
+    assert sum(s.elsewhere for s in told) == sum(census.values())
+    plan = prepare(crowd).plan
+    assert len({t.name.partition("-")[2] for t in plan.scene.targets}) == len(plan.scene.targets)
+    first, second = (r for r in plan.remarks if r.startswith("populations."))
+    for remark, name in ((first, "a"), (second, "b")):
+        assert remark.startswith(f"populations.{name}: 15 of 60 element sets omitted: another popu")
+    reasons = {d.component: d.reason for d in plan.decisions}
+    assert all("; 15 of 60 element sets omitted: a" in reasons[f"populations.{n}"] for n in "ab")
 
 
 def test_members_may_have_a_table_of_reflectance(tle: Path) -> None:
