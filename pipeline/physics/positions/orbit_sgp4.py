@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+SGP4_KINDS = (" ", "0", "2", "3")  # ephemeris types, in column 63 of line 1
 _NUMBER = r"(?=.*\d)[ \d.+-]+"
 # name, first and last column (1-based), what may stand there
 _COLUMNS = {
@@ -207,6 +208,17 @@ def check_tle(line1: str, line2: str, field: str = "orbit") -> None:
         raise BadInput(
             f"{field}.line2", line2[2:7], f"the satellite number of line 1, {line1[2:7]!r}"
         )
+    _check_kind_and_day(line1, f"{field}.line1")
+
+
+def _check_kind_and_day(line1: str, field: str) -> None:
+    """BadInput for elements of another theory than SGP4, and a day that their year has not."""
+    kind, year, day = line1[62], int(line1[18:20]), float(line1[20:32])
+    if kind not in SGP4_KINDS:
+        raise BadInput(field, kind, "ephemeris type 0, that of SGP4, in column 63")
+    days = 366 if year % 4 == 0 else 365  # 1957 to 2056
+    if not 1.0 <= day < days + 1:
+        raise BadInput(field, line1[18:32], f"an epoch within its year of {days} days")
 
 
 def _check_line(number: int, line: str, field: str) -> None:

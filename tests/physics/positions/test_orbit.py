@@ -113,6 +113,10 @@ def test_limits_a_leap_second_does_not_move_the_satellite() -> None:
         (with_checksum(LINE1[:18] + "x" + LINE1[19:]), LINE2, ["line1", "epoch"]),
         (with_checksum(LINE1[:23] + " " + LINE1[24:]), LINE2, ["line1", "epoch"]),
         (None, LINE2, ["line1"]),
+        (with_checksum(LINE1[:62] + "4" + LINE1[63:]), LINE2, ["line1", "SGP4", "column 63"]),
+        (with_checksum(LINE1[:18] + "19366.00000000" + LINE1[32:]), LINE2, ["line1", "365 days"]),
+        (with_checksum(LINE1[:18] + "20367.50000000" + LINE1[32:]), LINE2, ["line1", "366 days"]),
+        (with_checksum(LINE1[:18] + "19000.50000000" + LINE1[32:]), LINE2, ["line1", "365 days"]),
     ],
 )
 def test_limits_malformed_elements(line1: str, line2: str, words: list[str]) -> None:
@@ -120,6 +124,16 @@ def test_limits_malformed_elements(line1: str, line2: str, words: list[str]) -> 
         check_tle(line1, line2, "targets.0.orbit")
     assert all(word in str(error.value) for word in words), str(error.value)
     assert error.value.field.startswith("targets.0.orbit")
+
+
+@pytest.mark.parametrize(
+    ("epoch", "kind"),
+    [("19365.99999999", "0"), ("20366.99999999", "2"), ("00366.50000000", "3"),
+     ("57  1.00000000", " "), (" 4 60.50000000", "0")],
+)  # fmt: skip
+def test_ephemeris_types_and_days_that_are_taken(epoch: str, kind: str) -> None:
+    """All types that an OMM may have; the first and the last day of common and leap years."""
+    check_tle(with_checksum(LINE1[:18] + epoch + LINE1[32:62] + kind + LINE1[63:]), LINE2)
 
 
 @settings(max_examples=300, deadline=None)

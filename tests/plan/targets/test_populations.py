@@ -242,6 +242,20 @@ def test_left_out_ones_are_told(lines: list[list[str]], tmp_path: Path) -> None:
     assert f"2 omitted: not readable ({told.left_out[0]})" in reasons[0]
 
 
+def test_sets_of_another_theory_are_omitted(lines: list[list[str]], tmp_path: Path) -> None:
+    """SGP4-XP in column 63: as an OMM of that theory, told with the reason."""
+    name, line1, line2 = lines[0]
+    body = f"{line1[:62]}4{line1[63:68]}"
+    checksum = sum(int(c) if c.isdigit() else c == "-" for c in body) % 10
+    text = [x for three in lines[1:9] for x in three] + [name, f"{body}{checksum}", line2]
+    (tmp_path / "xp.tle").write_text("\n".join(text))
+    told = prepare(scene(tmp_path / "xp.tle")).plan.scene.populations[0].screened
+    assert told is not None
+    assert (told.read, told.unreadable) == (9, 1)
+    assert name in told.left_out[0]
+    assert "that of SGP4, in column 63" in told.left_out[0]
+
+
 BAD_FILES: dict[str, tuple[bytes, str]] = {
     "empty": (b"", "not empty"),
     "zip": (b"PK\x03\x04rest", "not an archive"),
