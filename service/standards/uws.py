@@ -336,8 +336,11 @@ def _count(text: str, name: str, least: int = 1) -> int:
 
 
 def _time(text: str, name: str) -> float:
+    """Unix seconds of a time that can be told again."""
     try:
         value = datetime.fromisoformat(text.strip())
-        return (value if value.tzinfo else value.replace(tzinfo=UTC)).timestamp()
+        seconds = (value if value.tzinfo else value.replace(tzinfo=UTC)).timestamp()
+        uws_xml.stamp(seconds)
+        return seconds
     except (ValueError, OverflowError):
         raise BadInput(f"?{name}", text, "a time in UTC like 2026-01-31T12:00:00Z") from None

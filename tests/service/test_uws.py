@@ -184,6 +184,35 @@ def test_mistakes(
     assert (answer.status_code, said in answer.text) == (status, True), answer.text
 
 
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ("0001-01-01T00:00:00Z", "0001-01-01T00:00:00.000Z"),
+        ("9999-12-31T23:59:59Z", "9999-12-31T23:59:59.000Z"),
+        ("9999-12-31T23:59:59+14:00", "9999-12-31T09:59:59.000Z"),
+        ("0001-01-01T00:00:00+14:00", None),
+        ("9999-12-31T23:59:59-14:00", None),
+        ("9999-12-31T23:59:59.999999", None),
+    ],
+)
+def test_a_destruction_that_is_taken_is_told(
+    server: Any, scene: dict[str, Any], asked: str, told: str | None
+) -> None:
+    """UTC of four-digit years; a time outside of them is refused, and the job is as it was."""
+    made = server.client.post("/uws/async", data={"SCENE": json.dumps(scene)})
+    here = made.headers["location"]
+    before = ET.fromstring(server.client.get(here).content).findtext(f"{UWS}destruction")
+    answer = server.client.post(f"{here}/destruction", data={"DESTRUCTION": asked})
+    assert answer.status_code == (422 if told is None else 303), answer.text
+    if told is None:
+        assert answer.json()["errors"][0]["pointer"] == "?DESTRUCTION"
+    elif told.startswith("0001"):  # it is removed at once
+        return
+    page = server.client.get(here)
+    assert page.status_code == 200
+    assert ET.fromstring(page.content).findtext(f"{UWS}destruction") == (told or before)
+
+
 @pytest.mark.parametrize("query", ["WAIT=soon", "WAIT=-7", "PHASE=ODD&WAIT=1"])
 def test_mistakes_in_queries(server: Any, finished: str, query: str) -> None:
     job_id = finished.rpartition("/")[2]
