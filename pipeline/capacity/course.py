@@ -37,7 +37,7 @@ STEPS, BATCH = 360, 1024  # of a window; objects of a task
 MOST_CPU_S = 24 * 3600.0
 STATE_CPU_S, PAIR_CPU_S, TASK_CPU_S = 0.8e-6, 0.05e-6, 0.05  # of this machine, with room
 SKY_CPU_S = 0.03  # of a table of the sky
-EDITION = 4  # of the numbers: one begun by another edition is not resumed
+EDITION = 5  # of the numbers: one begun by another edition is not resumed
 CAMERA_KEYS = ("sensor", "exposure", "background")
 LOOKS, LOOK_STEPS = 500, 200  # directions and moments at which a field of regard is tried
 

@@ -180,16 +180,31 @@ def _night(watcher: Watcher, request: FindOptions) -> tuple[float, float]:
     raise BadInput("--night", "no darkness", f"a date on which the Sun sinks below {limit:g} deg")
 
 
+def _from_lamps(watcher: Watcher) -> str:
+    """How far from the Sun and the Moon it looks, and by which limit."""
+    told = []
+    for name in ("sun", "moon"):
+        least_deg = getattr(watcher.regard, f"{name}_exclusion_deg")
+        own_deg = float(np.degrees(watcher.refused_rad[name]))
+        words = f"{max(least_deg, own_deg):g} deg or more from the {name.capitalize()}"
+        if own_deg > least_deg:
+            words += f" (the camera's own limit; {least_deg:g} deg while the Earth hides it)"
+        told.append(words)
+    return ", ".join(told)
+
+
 def _notes(watcher: Watcher, search: Search, census: Census, request: FindOptions) -> list[str]:
     """What the finding rests on."""
     r, regard = watcher.resolved, request.regard
     streaked = STREAKED[watcher.pointing.mode if watcher.pointing else "sidereal"]
     notes = [f"SNR of one {r.integration_s(0):g} s frame, {streaked}; {watcher.sky_note}"]
     if isinstance(watcher.observer, GroundObserver):
-        notes.append(
-            f"above {regard.lowest_elevation_deg:g} deg, the Sun below {regard.twilight_deg:g} deg,"
-            f" {regard.moon_exclusion_deg:g} deg or more from the Moon"
-        )
-        if not search.watch.works.any():
-            notes.append("it is never dark at these times: `--night` looks at the dark hours")
+        low, twilight = regard.lowest_elevation_deg, regard.twilight_deg
+        limits = f"above {low:g} deg, the Sun below {twilight:g} deg"
+    else:
+        least_deg = np.degrees(watcher.refused_rad["earth"])
+        limits = f"{max(regard.earth_exclusion_deg, least_deg):g} deg or more from the Earth's limb"
+    notes.append(f"{limits}, {_from_lamps(watcher)}")
+    if isinstance(watcher.observer, GroundObserver) and not search.watch.works.any():
+        notes.append("it is never dark at these times: `--night` looks at the dark hours")
     return notes + census.lines()

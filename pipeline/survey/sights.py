@@ -159,19 +159,15 @@ def _led(watcher: Watcher, watch: WatchMoments, moment: Index, direction: Array)
 
 
 def allowed(watcher: Watcher, watch: WatchMoments, s: Sights) -> NDArray[np.bool_]:
-    """Which rows (r,) the field of regard allows: elevation, Sun, Moon, Galaxy."""
+    """Which rows (r,) the field of regard allows, and the camera: elevation, Sun, Moon, Galaxy."""
     r, k = watcher.regard, s.moment
     good = watch.works[k] & (s.elevation >= watch.lowest[k])
     if isinstance(watcher.observer, GroundObserver):
         good &= s.elevation <= r.highest_elevation_deg * DEG_RAD
     observer = watch.observer_m[k]
-    for body, angle_deg in (
-        (watch.sun_m, r.sun_exclusion_deg),
-        (watch.moon_m, r.moon_exclusion_deg),
-    ):
-        if angle_deg > 0.0:
-            cosine = np.sum(unit(body[k] - observer) * s.geometric, axis=-1)
-            good &= cosine <= np.cos(angle_deg * DEG_RAD)
+    for body, least in ((watch.sun_m, watch.sun_least[k]), (watch.moon_m, watch.moon_least[k])):
+        cosine = np.sum(unit(body[k] - observer) * s.geometric, axis=-1)
+        good &= (cosine <= np.cos(least)) | (least <= 0.0)
     if r.galactic_exclusion_deg > 0.0:
         sine = np.abs(np.sum(watch.pole[k] * s.geometric, axis=-1))
         good &= sine >= np.sin(r.galactic_exclusion_deg * DEG_RAD)

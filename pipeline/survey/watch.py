@@ -10,18 +10,26 @@ from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
-from pipeline.physics.constants import DEG_RAD, EARTH_EQUATORIAL_RADIUS_M, SPEED_OF_LIGHT_M_S
+from pipeline.physics.constants import (
+    DEG_RAD,
+    EARTH_EQUATORIAL_RADIUS_M,
+    SPEED_OF_LIGHT_M_S,
+    SUN_RADIUS_M,
+)
 from pipeline.physics.noise.streams import stream_key, uniforms
 from pipeline.physics.positions.apparent import apparent_sun_m
 from pipeline.physics.positions.earth import earth_and_sun, teme_to_gcrs
+from pipeline.physics.positions.focal_plane import corner_radius
 from pipeline.physics.positions.times import Instants, format_utc, instants
-from pipeline.physics.targets.shadow import moon_m
+from pipeline.physics.targets.shadow import MOON_RADIUS_M, moon_m
 from pipeline.physics.vectors import from_angles, separation, unit
 from pipeline.plan.bodies.orbits import orbit_states
 from pipeline.plan.pointing.air import terms_of
 from pipeline.plan.pointing.geometry import zenith_pointing
+from pipeline.plan.pointing.lamps import hidden_rad
 from pipeline.plan.pointing.site import axes_of, place_of
 from pipeline.plan.resolved import ResolvedScene
+from pipeline.plan.sky.doubts import sun_exclusion_rad
 from pipeline.resolve.files import read_files
 from pipeline.resolve.resolve import resolve
 from pipeline.spec.load import parse_scene
@@ -131,6 +139,19 @@ class Watcher:
         ground = isinstance(self.observer, GroundObserver)
         return terms_of(self.resolved.scene) if ground and self.observer.atmosphere else (0.0, 0.0)  # type: ignore[union-attr]
 
+    @cached_property
+    def refused_rad(self) -> dict[str, float]:
+        """Angles [rad] from the middle of the field within which the camera's own scene would be
+        refused, of what is in sight: Sun, Moon, Earth's limb; 0 or less: none."""
+        scene = self.resolved.scene
+        b = scene.background
+        angles = {"sun": sun_exclusion_rad(scene), "moon": 0.0, "earth": 0.0}
+        stray = None if b is None else b.stray_light
+        if stray is not None and stray.inside == "refuse" and stray.exclusion_deg is not None:
+            own = stray.exclusion_deg * DEG_RAD + corner_radius(self.resolved.camera)
+            angles |= {name: own for name in angles if getattr(stray, name)}
+        return angles
+
     @property
     def sky_note(self) -> str:
         """What its sky is, for people."""
@@ -163,6 +184,7 @@ class Watcher:
 
         place, motion, up = self._state(offsets_s, times)
         sun = apparent_sun_m(earth)
+        moon = moon_m(times.tt1, times.tt2)
         lowest, works = self._limits(offsets_s, place, up, sun)
         return WatchMoments(
             offsets_s,
@@ -173,9 +195,11 @@ class Watcher:
             lowest,
             works,
             teme(sun),
-            teme(moon_m(times.tt1, times.tt2)),
+            teme(moon),
             teme(np.broadcast_to(GALACTIC_POLE, place.shape)),
             teme(earth.velocity_m_s),
+            self._least(place, up, sun, "sun", SUN_RADIUS_M),
+            self._least(place, up, moon, "moon", MOON_RADIUS_M),
         )
 
     def _state(self, offsets_s: Array, times: Instants) -> tuple[Array, Array, Array]:
@@ -188,6 +212,16 @@ class Watcher:
         )
         return place, motion, unit(place)
 
+    def _least(self, place: Array, up: Array, body: Array, name: str, radius_m: float) -> Array:
+        """Least angle (n,) [rad] from Sun or Moon: that of the field of regard, and the camera's
+        own while some of the body is in sight."""
+        path = body - place
+        elevation = 0.5 * np.pi - separation(path, up)
+        radius = np.arcsin(radius_m / np.sqrt(np.sum(path**2, axis=-1)))
+        hidden = hidden_rad(self.resolved.scene, place, path, elevation) > radius
+        regard = getattr(self.regard, f"{name}_exclusion_deg") * DEG_RAD
+        return np.where(hidden, regard, max(regard, self.refused_rad[name]))
+
     def _limits(
         self, offsets_s: Array, place: Array, up: Array, sun: Array
     ) -> tuple[Array, NDArray[np.bool_]]:
@@ -197,7 +231,8 @@ class Watcher:
         if not isinstance(self.observer, GroundObserver):
             height = np.sqrt(np.sum(place**2, axis=-1))
             limb = np.arcsin(np.minimum(1.0, EARTH_EQUATORIAL_RADIUS_M / height))
-            return limb + r.earth_exclusion_deg * DEG_RAD - 0.5 * np.pi, np.ones(n, bool)
+            least = max(r.earth_exclusion_deg * DEG_RAD, self.refused_rad["earth"])
+            return limb + least - 0.5 * np.pi, np.ones(n, bool)
         sun_elevation = 0.5 * np.pi - separation(sun - place, up)
         works = sun_elevation <= r.twilight_deg * DEG_RAD
         if r.clear_fraction < 1.0:
@@ -220,7 +255,8 @@ class WatchMoments:
 
     to_gcrs : (n, 3, 3); observer_m, motion_m_s : geocentric; up : its vertical; lowest : (n,) least
     elevation; works : (n,) whether it looks at all; sun_m : apparent; moon_m : geocentric; pole :
-    of the Galaxy; earth_m_s : the Earth's velocity; sky_tables : of `SkyBehind`, as they are made
+    of the Galaxy; earth_m_s : the Earth's velocity; sun_least, moon_least : (n,) least angles from
+    them; sky_tables : of `SkyBehind`, as they are made
     """
 
     offset_s: Array
@@ -234,6 +270,8 @@ class WatchMoments:
     moon_m: Array
     pole: Array
     earth_m_s: Array
+    sun_least: Array
+    moon_least: Array
     sky_tables: dict[int, Array] = field(default_factory=dict)
 
     @property

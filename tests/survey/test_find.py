@@ -298,6 +298,21 @@ def test_an_orbit_without_an_epoch_begins_at_the_scenes(kind: str, tmp_path: Pat
     assert found[0] == found[1]
 
 
+def test_notes_say_which_limits_hold() -> None:
+    """Those of the field of regard, and the camera's own where it is the larger."""
+    path, wish = ROOT / "examples" / "population.yaml", FindOptions(at="2019-04-20T06:00:00Z")
+    observer = {"kind": "orbit", "orbit": {"kind": "state", **AROUND["state"]}}
+    space = [f"observer={json.dumps(observer)}"]
+    moon = ", 10 deg or more from the Moon"
+    wide = "80 deg or more from the Sun (the camera's own limit; 30 deg while the Earth hides it)"
+    for changes, told in (
+        ([], "above 20 deg, the Sun below -12 deg, 30 deg or more from the Sun"),
+        (space, "5 deg or more from the Earth's limb, 30 deg or more from the Sun"),
+        ([*space, "sensor.sun_exclusion_deg=80"], f"5 deg or more from the Earth's limb, {wide}"),
+    ):
+        assert find(load_scene(path, changes), wish).notes[1] == told + moon
+
+
 def along_orbit(o: dict[str, Any]) -> dict[str, float]:
     """Where an object stands in the local frame of a state at the epoch, 1 s later."""
     (place,), (motion,) = two_body(np.array(PLACE), np.array(SPEED), np.array([1.0]))

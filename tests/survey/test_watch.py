@@ -15,7 +15,7 @@ from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.study import FieldOfRegard
 from pipeline.survey.sights import Sights, allowed
 from pipeline.survey.watch import Watcher, WatchMoments, make_watcher
-from tests.survey.conftest import EPOCH, sections, watcher
+from tests.survey.conftest import CAMERA, EPOCH, sections, watcher
 
 SITE = coord.EarthLocation.from_geodetic(-156.3, 20.7, 3055.0)
 START = Time("2019-04-20T06:00:00")
@@ -110,6 +110,42 @@ def test_sun_and_limb_from_a_satellite() -> None:
     s = looks(watch, down, np.random.default_rng(5), limb, limb + 14.0)
     margin = np.minimum(off(s, watch, sun) - 40.0, off(s, watch, down) - limb - 7.0)
     agrees(w, watch, s, margin, 1000)
+
+
+AROUND = {"kind": "orbit", "orbit": {"kind": "keplerian", "semi_major_axis_m": 9e6,
+          "eccentricity": 0.0, "inclination_deg": 98.0, "true_anomaly_deg": 100.0}}  # fmt: skip
+STRAY = {"pst": {"kind": "harvey", "b0_per_sr": 10.0, "shoulder": 0.01, "slope": -1.9},
+         "exclusion_deg": 49.0}  # fmt: skip
+
+
+@pytest.mark.parametrize("stray", [None, STRAY, STRAY | {"inside": "clip"}])
+def test_the_cameras_own_limits_hold_too(stray: Any) -> None:
+    """Those by which a render refuses: the angle from the Sun while it is in sight, or where stray
+    light is drawn that from Sun, Moon and limb to the frame; none where nothing is refused."""
+    regard = FieldOfRegard(sun_exclusion_deg=40.0, moon_exclusion_deg=20.0, earth_exclusion_deg=7.0)
+    asked = sections(observer=AROUND, sensor=CAMERA | {"sun_exclusion_deg": 50.0})
+    asked["background"] |= {"stray_light": stray}
+    w = make_watcher(asked, regard, EPOCH, False)
+    watch = w.watch(AT)
+    corner = np.degrees(np.arctan(np.hypot(512, 512) * 13.5e-6))
+    here = np.einsum("nij,nj->ni", watch.to_gcrs, watch.observer_m)
+    sun, moon = (coord.get_body(n, START + AT * u.s, ephemeris="builtin") for n in ("sun", "moon"))
+    sun, moon = (unit(body.cartesian.xyz.to_value(u.m).T - here) for body in (sun, moon))
+    down = np.einsum("nij,nj->ni", watch.to_gcrs, -unit(watch.observer_m))
+    limb = np.degrees(np.arcsin(6_378_137.0 / 9e6))
+    least = {None: (50.0, 20.0, 7.0), "refuse": (49.0 + corner,) * 3, "clip": (40.0, 20.0, 7.0)}[
+        stray and stray.get("inside", "refuse")
+    ]
+    hidden = np.degrees(separation(sun, down)) < limb - 0.27
+    assert hidden.any()
+    near_sun = np.where(hidden, 40.0, least[0])
+    for seed, about in ((6, sun), (7, moon), (8, down)):
+        s = looks(watch, about, np.random.default_rng(seed), 5.0, 110.0)
+        away = off(s, watch, moon)
+        low = np.degrees(separation(moon, down)) < limb - 0.27
+        margins = (off(s, watch, sun) - near_sun[s.moment], off(s, watch, down) - limb - least[2],
+                   away - np.where(low, 20.0, least[1])[s.moment])  # fmt: skip
+        agrees(w, watch, s, np.min(margins, axis=0), 300)
 
 
 @pytest.mark.parametrize("twilight_deg", [-6.0, -15.0])

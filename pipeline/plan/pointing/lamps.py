@@ -224,7 +224,7 @@ def _lamp(
         off_axis,
         _off_frame(camera, attitude, towards, off_axis),
         radius,
-        _hidden(scene, at.observer_m, body_m, elevation) - radius,
+        hidden_rad(scene, at.observer_m, body_m, elevation) - radius,
         elevation,
     )
 
@@ -241,12 +241,12 @@ def _planet(
     off_frame = off_axis - corner_radius(camera)  # at least
     near = off_frame <= OFF_RAD
     off_frame[near] = _off_frame(camera, attitude[near], towards[near], off_axis[near])
-    hidden = _hidden(scene, at.observer_m, body, elevation)
+    hidden = hidden_rad(scene, at.observer_m, body, elevation)
     lamp = Lamp(off_axis, off_frame, np.full(len(off_axis), OFF_RAD), hidden, elevation)
     return lamp, brightest_v_mag(name, *far)
 
 
-def _hidden(scene: Scene, place_m: Array, body_m: Array, elevation: Array) -> Array:
+def hidden_rad(scene: Scene, place_m: Array, body_m: Array, elevation: Array) -> Array:
     """How far (n,) [rad] a body's middle is behind the horizon of a site, or the Earth's limb."""
     o = scene.observer
     if isinstance(o, GroundObserver):

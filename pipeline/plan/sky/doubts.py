@@ -109,7 +109,7 @@ def _margins(scene: Scene, at: LampGeometry) -> dict[str, Array]:
 
 def lamp_margins(scene: Scene, sun: Lamp, moon: Lamp) -> dict[str, Array]:
     """How far [rad] Sun and Moon are from being in the field, and near it; shapes as theirs."""
-    near_sun, near_moon = _exclusion_rad(scene), _moonlight_rad(scene)
+    near_sun, near_moon = sun_exclusion_rad(scene), _moonlight_rad(scene)
     return {
         "sun": np.maximum(_off_field(sun), sun.hidden),
         "near the sun": np.maximum(sun.off_axis - near_sun, sun.hidden),
@@ -123,7 +123,7 @@ def _off_field(lamp: Lamp) -> Array:
     return np.asarray(lamp.off_frame - lamp.radius)
 
 
-def _exclusion_rad(scene: Scene) -> float:
+def sun_exclusion_rad(scene: Scene) -> float:
     """Angle from the boresight within which the Sun is in doubt: none where its stray light is
     drawn, which has an angle of its own."""
     b = scene.background
@@ -327,7 +327,7 @@ def _in_field(
 
 def _sun_near(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
     """The Sun so near that its light would show, where none of it is drawn."""
-    if seen.sun.hidden[k] > 0.0 or seen.sun.off_axis[k] > _exclusion_rad(scene):
+    if seen.sun.hidden[k] > 0.0 or seen.sun.off_axis[k] > sun_exclusion_rad(scene):
         return []
     least = scene.sensor.sun_exclusion_deg
     where = f"{_off_axis_deg(seen.sun, k):.2f} deg from the boresight"
