@@ -43,7 +43,8 @@ def page(
         f"Detected at {report['threshold_sigma']:.2f} sigma: a false alarm rate of "
         f"{report['false_alarm_rate']:g} a frame and object, on Gaussian noise.",
         "Gaps run from the start to the first detection, between detections, and from the last one "
-        "to the end; each object counts once in medians.",
+        "to the end; each object counts once in medians. The first detection is the time by which "
+        "half of all objects were detected; – where it is less than half.",
         *report["notes"],
     ]
     keys = {"by_regime": "orbit", "by_kind": "kind of object", "by_altitude_km": "altitude [km]"}

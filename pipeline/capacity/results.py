@@ -245,19 +245,28 @@ def _report(
 
 
 def _gap_figures(objects: pa.Table, which: NDArray[np.bool_]) -> JsonObject:
-    """Over some objects: medians of their gaps' median and 95 %, the longest; first, custody."""
+    """Over some objects: medians of their gaps' median and 95 %, the longest; first, custody.
+
+    An object without a first detection, or a second, has it after the period's end, nobody knows
+    when: a median that lies among those is null.
+    """
     some = objects.filter(pa.array(which))
 
     def over(name: str, function: Any) -> float | None:
         values = some[name].drop_null().to_numpy()
         return float(function(values)) if len(values) else None
 
+    def median_with_never(name: str) -> float | None:
+        values = np.nan_to_num(some[name].to_numpy(zero_copy_only=False), nan=np.inf)
+        middle = float(np.median(values)) if len(values) else np.inf
+        return middle if np.isfinite(middle) else None
+
     return {
         "gap_median_h": over("gap_median_h", np.median),
         "gap_p95_h": over("gap_p95_h", np.median),
         "gap_longest_h": over("gap_longest_h", np.max),
-        "first_detection_h": over("first_detection_h", np.median),
-        "revisit_h": over("revisit_h", np.median),
+        "first_detection_h": median_with_never("first_detection_h"),
+        "revisit_h": median_with_never("revisit_h"),
         "custody_fraction": over("custody_fraction", np.mean),
     }
 

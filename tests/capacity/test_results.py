@@ -13,6 +13,7 @@ import astropy.coordinates as coord
 import astropy.units as u
 import healpy
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from astropy.time import Time
@@ -202,10 +203,35 @@ def test_figures(made: Made) -> None:
             told.append((figures, mine))
     for figures, mine in told:
         for key, over in (("gap_median_h", np.median), ("gap_p95_h", np.median),
-                          ("gap_longest_h", np.max), ("first_detection_h", np.median),
-                          ("revisit_h", np.median), ("custody_fraction", np.mean)):  # fmt: skip
-            values = [o[key] for o in mine if o[key] is not None]
-            assert figures[key] == (pytest.approx(over(values)) if values else None)
+                          ("gap_longest_h", np.max), ("custody_fraction", np.mean)):
+            assert figures[key] == pytest.approx(over([o[key] for o in mine]))  # fmt: skip
+        for key in ("first_detection_h", "revisit_h"):  # of all, those that have none the latest
+            assert figures[key] == pytest.approx(middle([o[key] for o in mine]))
+
+
+def middle(values: list[float | None]) -> float | None:
+    """The median by order, where None comes last; None where it is one, or next to one."""
+    order = sorted(values, key=lambda v: (v is None, v or 0.0))
+    low, high = order[(len(order) - 1) // 2], order[len(order) // 2]
+    return None if low is None or high is None else 0.5 * (low + high)
+
+
+def test_never_detected_objects_come_last_in_medians() -> None:
+    """Three of five detected, two of them twice: the middle is the latest first detection, and half
+    have no second one."""
+    nan = np.nan
+    first, between = [1.0, nan, 3.0, nan, 2.0], [nan, nan, 4.0, nan, 5.0]
+    columns = {"first_detection_h": first, "revisit_h": between}
+    gaps = {f"gap_{n}_h": [10.0] * 5 for n in ("median", "p95", "longest")}
+    table = pa.table(
+        {k: pa.array(np.array(v), from_pandas=True) for k, v in (columns | gaps).items()}
+        | {"custody_fraction": [0.0] * 5}
+    )
+    told = [results._gap_figures(table, np.arange(5) < n) for n in (5, 4, 1)]
+    assert [t["first_detection_h"] for t in told] == [3.0, None, 1.0]
+    assert [t["revisit_h"] for t in told] == [None, None, None]
+    assert results._gap_figures(table, np.arange(5) >= 2)["first_detection_h"] == 3.0
+    assert results._gap_figures(table, np.arange(5) % 2 == 0)["revisit_h"] == 5.0
 
 
 def test_the_page_has_the_figures(made: Made) -> None:
