@@ -18,6 +18,7 @@ from pipeline.physics.constants import DAY_S
 from pipeline.physics.detection import snr_of, threshold_sigma
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.vectors import from_angles
+from pipeline.plan.targets.orbit_age import sensor_remarks
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.study import CuedTasking, Study
 from pipeline.spec.study_load import parse_study
@@ -48,7 +49,8 @@ class StudyCourse:
 
     watchers : one for each sensor; units : (u,) the sensor of each single one of them
     least_snr : of a frame, below which no dwell has the least probability; key : of all that the
-    result follows from; idle : sensors that look nowhere in the period, and why
+    result follows from; idle : sensors that look nowhere in the period, and why; remarks : what is
+    to be said of the sensors' own orbits
     """
 
     study: Study
@@ -60,6 +62,7 @@ class StudyCourse:
     key: str
     out: str = ""
     idle: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -149,6 +152,11 @@ def make_course(data: JsonObject, out: Path) -> StudyCourse:
             f"{watcher.name} looks nowhere in the period: {why.field}: {why.value}"
             for watcher, why in zip(watchers, idle, strict=True)
             if why is not None
+        ),
+        tuple(
+            f"{watcher.name}: {told}"
+            for watcher in watchers
+            for told in sensor_remarks(watcher.resolved.scene, 0.0, study.duration_h * 3600.0)
         ),
     )
 

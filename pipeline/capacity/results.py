@@ -222,6 +222,7 @@ def _report(
     notes = [
         *course.census.lines(),
         *course.idle,
+        *course.remarks,
         *(f"{', '.join(w)}: {sky}" for sky, w in skies.items()),
     ]
     if len(failed):

@@ -62,10 +62,15 @@ Listener = Callable[[SweepProgress], None]
 
 
 def forecast_of(data: JsonObject, folder: Path) -> JsonObject:
-    """What a study takes (`StudyCourse.forecast`), of all its points together."""
+    """What a study takes (`StudyCourse.forecast`), of all its points together, and `remarks`."""
     study = parse_study(data)
-    told = make_course(_placed(_at_point(data, study, 0)[0], folder), Path()).forecast
-    return told | {"points": study.points, "cpu_s": told["cpu_s"] * study.points}
+    course = make_course(_placed(_at_point(data, study, 0)[0], folder), Path())
+    told, remarks = course.forecast, list(course.remarks)
+    return told | {
+        "points": study.points,
+        "cpu_s": told["cpu_s"] * study.points,
+        "remarks": remarks,
+    }
 
 
 def run_study(

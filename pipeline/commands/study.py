@@ -50,7 +50,10 @@ def study(
         return
 
     if dry_run:
-        print_mapping(forecast_of(data, folder), as_json)
+        told = forecast_of(data, folder)
+        remarks = [] if as_json else told.pop("remarks")
+        print_mapping(told, as_json)
+        _print_notes(remarks)
         return
     options = StudyOptions(scheduler, workers, resume, yes)
     kept = told_if_interrupted(str(output), lambda: "finished tasks are kept")
@@ -74,6 +77,10 @@ def _print_report(report: JsonObject, output: Path) -> None:
     print(f"{output}: {report['study']}, {report['hours']:g} h in {report['seconds']:.1f} s")
     for name, value in figures.items():
         print(pair(name, "none" if value is None else f"{value:.6g}", 24))
-    for note in report["notes"]:
-        print(fold(note, " " * 8, "  note: "))
+    _print_notes(report["notes"])
     print(f"  {output / 'report.html'}, {output / 'objects.parquet'}")
+
+
+def _print_notes(notes: list[str]) -> None:
+    for note in notes:
+        print(fold(note, " " * 8, "  note: "))

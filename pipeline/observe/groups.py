@@ -13,7 +13,7 @@ from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.pointing.geometry import zenith_pointing
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.responses import plan_responses
-from pipeline.plan.targets.orbit_age import oldest_remarks, two_body_remarks
+from pipeline.plan.targets.orbit_age import oldest_remarks, sensor_remarks, two_body_remarks
 from pipeline.plan.targets.populations import whole_sky
 from pipeline.plan.timing import longest_s
 from pipeline.resolve.files import read_files, with_numbers
@@ -54,6 +54,7 @@ def groups_of(asked: Scene, times: Times) -> tuple[list[Group], list[str]]:
         notes += oldest_remarks(whole.scene, first, last)
     if not times.as_exposed:
         notes += two_body_remarks(whole.scene, first, last)
+        notes += [f"the observer: {told}" for told in sensor_remarks(whole.scene, first, last)]
         whole, turned = _turned(asked, whole, first, last)
         notes += turned
     if not as_drawn or whole is sensor:

@@ -182,9 +182,9 @@ export function planCard(plan) {
 }
 
 // What a study takes, or a sweep: its points, and the plan of its base scene.
-function forecastCard({ base, ...sizes }) {
+function forecastCard({ base, remarks: told, ...sizes }) {
   const facts = Object.entries(sizes).map(([key, value]) => [el("dt", {}, key.replaceAll("_", " ")), el("dd", {}, number(value))]);
-  return [el("div", { class: "card", id: "forecast" }, el("h2", {}, "Forecast"), el("dl", { class: "facts" }, facts)),
+  return [el("div", { class: "card", id: "forecast" }, el("h2", {}, "Forecast"), el("dl", { class: "facts" }, facts), remarks(told)),
     base ? planCard(base) : null];
 }
 

@@ -95,6 +95,17 @@ def test_a_forecast_is_of_all_points(data: Data, tmp_path: Path) -> None:
     assert three["cpu_s"] == pytest.approx(6 * one["cpu_s"])
 
 
+def test_an_orbit_of_a_sensor_is_doubted(data: Data, tmp_path: Path) -> None:
+    """In the forecast, by the sensor's name; at the end of the period."""
+    assert forecast_of(data, tmp_path)["remarks"] == []
+    elements = {"semi_major_axis_m": 7.158e6, "eccentricity": 0.001, "inclination_deg": 98.6}
+    orbit = {"kind": "keplerian", "true_anomaly_deg": 0.0, **elements}
+    data["sensors"].append({"name": "sat", "observer": {"kind": "orbit", "orbit": orbit}})
+    (told,) = forecast_of(data | {"duration_h": 720.0}, tmp_path)["remarks"]
+    assert told.startswith("sat: its own orbit: two-body motion")
+    assert "in 30 days from its elements turns the node by 29." in told  # sun-synchronous
+
+
 def test_frames_needed_are_those_of_every_dwell(data: Data, tmp_path: Path) -> None:
     other = data["cameras"][0] | {"name": "other", "exposure": {"integration_s": 1.0, "frames": 5}}
     data |= {"cameras": [data["cameras"][0], other], "detection": {"frames_needed": 4}}

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import copy
+import re
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from sgp4.api import WGS72, Satrec
 
 from pipeline.errors import BadInput
 from pipeline.execute.truth import target_truth
@@ -24,7 +26,12 @@ from pipeline.plan.targets.bounds import (
     two_body_m,
 )
 from pipeline.plan.targets.decisions import _largest_px
-from pipeline.plan.targets.orbit_age import _aged, elements_error_m, oldest_remarks
+from pipeline.plan.targets.orbit_age import (
+    _aged,
+    elements_error_m,
+    oldest_remarks,
+    sensor_remarks,
+)
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Target
@@ -309,6 +316,58 @@ def test_elements_are_right_at_their_perigee() -> None:
         g = plan_geometry(scene, np.arange(3), 0.0)
         bounds.append(two_body_m(scene.targets, scene, g) / days**2)
     assert bounds == pytest.approx([bounds[0]] * 3, rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["keplerian", "perigee", "state"])
+@pytest.mark.parametrize(
+    ("axis_m", "e", "tilt_deg"), [(7.158e6, 0.001, 98.6), (2.66e7, 0.5, 30.0), (7e6, 0.0, 90.0)]
+)
+def test_a_sensor_without_oblateness_is_doubted(
+    kind: str, axis_m: float, e: float, tilt_deg: float
+) -> None:
+    """By the secular rates that SGP4 itself works out for such elements, to second order; 5 days
+    with the day from the epoch of the elements on."""
+    mu, tilt, days = 3.986004418e14, np.radians(tilt_deg), 5.0
+    if kind == "state":  # at perigee, on the x axis
+        speed = np.sqrt(mu / axis_m * (1.0 + e) / (1.0 - e))
+        orbit = state([axis_m * (1.0 - e), 0.0, 0.0],
+                      [0.0, speed * np.cos(tilt), speed * np.sin(tilt)])  # fmt: skip
+    else:
+        size = {"semi_major_axis_m": axis_m} if kind == "keplerian" else (
+            {"perigee_radius_m": axis_m * (1.0 - e)})  # fmt: skip
+        orbit = size | {"kind": "keplerian", "eccentricity": e, "inclination_deg": tilt_deg,
+                        "true_anomaly_deg": 0.0}  # fmt: skip
+    observer = {"kind": "orbit", "orbit": orbit | {"epoch": "2019-03-20T09:00:00Z"}}
+    scene = parse_scene(SCENE | {"observer": observer, "targets": [target(TLE)]})
+    (told,) = sensor_remarks(scene, 0.0, (days - 1.0) * 86_400.0)
+    numbers = [float(n) for n in re.findall(r"in ([\d.]+) days|by (-?[\d.e+-]+) deg|"
+               r"to ([\d.e+-]+) km|about ([\d.e+-]+) km", told) for n in n if n]  # fmt: skip
+    one = Satrec()
+    motion = np.sqrt(mu / axis_m**3) * 60.0
+    one.sgp4init(WGS72, "i", 0, 25000.0, 0.0, 0.0, 0.0, e, 0.0, tilt, 0.0, motion, 0.0)
+    minutes = days * 1440.0
+    plain = one.a**-1.5 / one.tumin  # of two-body motion on its mean axis
+    node, along = one.nodedot * minutes, (one.argpdot + one.mdot - plain) * minutes
+    chords = [2e-3 * axis_m * np.sin(0.5 * min(abs(v), np.pi)) for v in (node, along)]
+    expected = [days, np.degrees(node), *chords]
+    assert numbers == pytest.approx(expected, rel=0.02, abs=1e-3)
+
+
+def test_sensors_that_need_no_doubt() -> None:
+    """A site; a state for some seconds; fresh elements, but not those that are 7 days old."""
+    site = {"kind": "ground", "latitude_deg": 0.0, "longitude_deg": 0.0}
+    orbit = {k: v if k == "kind" else checksum(v) for k, v in TLE.items()}
+    for observer, epoch, told in (
+        (site, "2019-04-10T12:00:00Z", []),
+        ({"kind": "orbit", "orbit": state(*OBSERVER)}, "2019-04-10T12:00:00Z", []),
+        ({"kind": "orbit", "orbit": orbit}, "2019-04-10T12:00:00Z", []),
+        ({"kind": "orbit", "orbit": orbit}, "2019-04-17T12:00:00Z", [
+            "its own orbit: elements of 7 days before the times asked for: SGP4 is expected to be "
+            "22 km off"]),
+    ):  # fmt: skip
+        asked = {"observer": observer, "epoch": epoch, "targets": [target(TLE)]}
+        scene = parse_scene(SCENE | asked)
+        assert sensor_remarks(scene, 0.0, 8.0) == told
 
 
 @pytest.mark.parametrize(("day", "longest_s"), [("20", 86_402.1), ("22", 86_400.0)])

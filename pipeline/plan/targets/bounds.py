@@ -29,7 +29,6 @@ from pipeline.spec.targets.orbit import TableOrbit
 J2 = 1.0826267e-3
 SMALLER = 1.05  # harmonics beyond the flattening, of its acceleration: 1.4e-2 of it, and sunlight
 MOON_PER_S2, SUN_PER_S2 = 2.0 * 4.9028e12 / 3.56e8**3, 2.0 * 1.32712e20 / 1.47e11**3  # tides
-SECULAR = 4.0  # of the way, times the flattening's share of the pull
 USUAL_ALBEDO = 0.3
 
 
@@ -87,18 +86,6 @@ def two_body_off_m(
     flat = 3.0 * J2 * EARTH_GM_M3_S2 * EARTH_EQUATORIAL_RADIUS_M**2 / r**4
     force = SMALLER * flat + (MOON_PER_S2 + SUN_PER_S2) * 1.2 * r
     return 2.0 * force * time_s**2
-
-
-def two_body_drift_m(scene: Scene, orbit: Any, first_s: float, last_s: float) -> float:
-    """How far two-body motion is expected to be off between two times, hours or days on [m].
-
-    As `two_body_off_m`, or where that is less SECULAR J2 (R / r)^2 of the way: what the flattening
-    adds to the mean motion of a state taken for a mean one (up to 90 km an hour at 500 km).
-    """
-    r = max(_lowest_m(orbit, math.inf), EARTH_EQUATORIAL_RADIUS_M)
-    way_m = math.sqrt(EARTH_GM_M3_S2 / r) * longest_from_elements_s(scene, orbit, first_s, last_s)
-    drift_m = SECULAR * J2 * (EARTH_EQUATORIAL_RADIUS_M / r) ** 2 * way_m
-    return min(two_body_off_m(scene, orbit, first_s, last_s), drift_m)
 
 
 def longest_from_elements_s(

@@ -9,16 +9,19 @@ from pipeline.physics.constants import (
     ARCSEC_RAD,
     ASTRONOMICAL_UNIT_M,
     DAY_S,
+    DEG_RAD,
+    EARTH_EQUATORIAL_RADIUS_M,
     EARTH_GM_M3_S2,
 )
 from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.bodies.orbits import elements_epoch
 from pipeline.plan.targets.bounds import (
+    J2,
     geocentric_m,
     longest_from_elements_s,
     table_error_m,
-    two_body_drift_m,
+    two_body_off_m,
 )
 from pipeline.plan.timing import end_s
 from pipeline.spec.scene import Scene
@@ -35,6 +38,7 @@ from pipeline.spec.targets.orbit import (
 SUN_GM_M3_S2 = 1.327_124_400_18e20
 INFLUENCE_M = 9.24e8  # (GM_earth / GM_sun)^(2/5) au: beyond it the Sun's pull decides
 FRESH_DAYS, MOST_NAMED = 3.0, 20
+ASKED_FOR = "the times asked for"
 LOW_REV_DAY = 6.4  # of orbits of less than 225 minutes: SGP4's near-Earth theory
 SAID_M = 10.0  # from which two-body motion at other times is told
 LOW_KM_DAY, HIGH_KM_DAY, AT_EPOCH_KM = 3.0, 0.5, 1.0
@@ -98,30 +102,49 @@ def elements_error_m(age_days: float, rev_day: float) -> float:
     return float(min(1e3 * (AT_EPOCH_KM + per_day * abs(age_days)), 2.0 * axis_m))
 
 
+def sensor_remarks(scene: Scene, first_s: float, last_s: float) -> list[str]:
+    """What is to be said of the observer's own orbit between two times after the epoch."""
+    orbit: Orbit | None = getattr(scene.observer, "orbit", None)
+    if orbit is None:
+        return []
+    told = _aged(scene, orbit, first_s, last_s) or _unturned(scene, orbit, first_s, last_s)
+    return [] if told is None else [f"its own orbit: {told[1]}"]
+
+
 def oldest_remarks(scene: Scene, first_s: float, last_s: float) -> list[str]:
-    """How many targets have old elements between two times after the epoch, and the worst; and
-    what is to be said of the observer's own."""
+    """How many targets have old elements between two times after the epoch, and the worst."""
     found = [(t.name, _aged(scene, t.orbit, first_s, last_s)) for t in scene.targets]
     old = [(told[0], f"{name}: {told[1]}") for name, told in found if told is not None]
-    out = [f"{len(old)} of the targets have old elements, the worst {max(old)[1]}"] if old else []
-    observer = getattr(scene.observer, "orbit", None)
-    own = None if observer is None else _aged(scene, observer, first_s, last_s)
-    return out if own is None else [*out, f"the observer: {own[1]}"]
+    return [f"{len(old)} of the targets have old elements, the worst {max(old)[1]}"] if old else []
 
 
 def two_body_remarks(scene: Scene, first_s: float, last_s: float) -> list[str]:
-    """How far orbits of two bodies may be off between two times after the epoch, the worst."""
-    movers: list[tuple[str, object]] = [(t.name, t.orbit) for t in scene.targets]
-    movers.append(("the observer", getattr(scene.observer, "orbit", None)))
-    plain = [(name, o) for name, o in movers if isinstance(o, StateOrbit | KeplerianOrbit)]
-    off = [(two_body_drift_m(scene, o, first_s, last_s), name) for name, o in plain]
-    error_m, worst = max(off, default=(0.0, ""))
+    """How many targets move as two bodies, and how far the worst may be off between two times
+    after the epoch."""
+    off = [
+        (*_two_body(scene, t.orbit, first_s, last_s), t.name)
+        for t in scene.targets
+        if isinstance(t.orbit, StateOrbit | KeplerianOrbit)
+    ]
+    error_m, words, name = max(off, default=(0.0, "", ""))
     if error_m < SAID_M:
         return []
-    return [
-        f"two-body motion of {len(off)} orbits: the Earth's oblateness, Moon and Sun are omitted; "
-        f"at the times asked for {worst} is expected to be up to {error_m / 1e3:.3g} km off"
-    ]
+    return [f"{len(off)} of the targets move as two bodies, the worst {name}: {words}"]
+
+
+def _two_body(
+    scene: Scene, orbit: StateOrbit | KeplerianOrbit, first_s: float, last_s: float
+) -> tuple[float, str]:
+    """Error and words of two-body motion between two times: from a revolution on by secular rates,
+    before by its bound."""
+    told = _unturned(scene, orbit, first_s, last_s)
+    if told is not None:
+        return told
+    error_m = two_body_off_m(scene, orbit, first_s, last_s)
+    return error_m, (
+        "two-body motion, without the Earth's oblateness, Moon and Sun, is up to "
+        f"{error_m / 1e3:.3g} km off at {ASKED_FOR}"
+    )
 
 
 def _aged(
@@ -142,11 +165,60 @@ def _aged(
         return None
     error = elements_error_m(age, rev_day)
     when = "before" if age > 0 else "after"
-    end = "the scene's end" if last_s is None else "the times asked for"
+    end = "the scene's end" if last_s is None else ASKED_FOR
     return error, (
         f"elements of {abs(age):.4g} days {when} {end}: SGP4 is expected to be "
         f"{error / 1e3:.3g} km off"
     )
+
+
+def _unturned(
+    scene: Scene, orbit: Orbit, first_s: float, last_s: float
+) -> tuple[float, str] | None:
+    """Error and words of two-body motion up to a time, by the first-order secular rates of J2
+    (Vallado 2013, eq. 9-37, 9-39, 9-41), which tell it from one revolution on; None before, and
+    where they are worth less than AT_EPOCH_KM."""
+    if not isinstance(orbit, StateOrbit | KeplerianOrbit):
+        return None
+    parameter, ecc, cosine = _ellipse(orbit)
+    if not ecc < 1.0:
+        return None
+    axis, time_s = (
+        parameter / (1.0 - ecc**2),
+        longest_from_elements_s(scene, orbit, first_s, last_s),
+    )
+    motion = float(np.sqrt(EARTH_GM_M3_S2 / axis**3))
+    if motion * time_s < 2.0 * np.pi:
+        return None
+    rate = 1.5 * J2 * (EARTH_EQUATORIAL_RADIUS_M / parameter) ** 2 * motion
+    square = 1.0 - cosine**2
+    node = -rate * cosine * time_s
+    of_mean = np.sqrt(1.0 - ecc**2) * (1.0 - 1.5 * square)
+    along = float(rate * (2.0 - 2.5 * square + of_mean) * time_s)
+    sideways_m, along_m = (2.0 * axis * np.sin(0.5 * min(abs(v), np.pi)) for v in (node, along))
+    error = float(max(sideways_m, along_m))
+    if error < 1e3 * AT_EPOCH_KM:
+        return None
+    return error, (
+        f"two-body motion, without the Earth's oblateness, which in {time_s / DAY_S:.3g} days from "
+        f"its elements turns the node by {node / DEG_RAD:.3g} deg, up to {sideways_m / 1e3:.3g} km,"
+        f" and moves it along by about {along_m / 1e3:.3g} km"
+    )
+
+
+def _ellipse(orbit: StateOrbit | KeplerianOrbit) -> tuple[float, float, float]:
+    """Parameter [m], eccentricity, and cosine of the inclination."""
+    if isinstance(orbit, KeplerianOrbit):
+        e, perigee = orbit.eccentricity, orbit.perigee_radius_m
+        if perigee is None:
+            assert orbit.semi_major_axis_m is not None
+            perigee = orbit.semi_major_axis_m * (1.0 - e)
+        return perigee * (1.0 + e), e, float(np.cos(orbit.inclination_deg * DEG_RAD))
+    place, speed = np.array(orbit.position_m, float), np.array(orbit.velocity_m_s, float)
+    momentum = np.cross(place, speed)
+    of = float(np.sqrt(momentum @ momentum))
+    pull = np.cross(speed, momentum) / EARTH_GM_M3_S2 - place / np.sqrt(place @ place)
+    return of**2 / EARTH_GM_M3_S2, float(np.sqrt(pull @ pull)), float(momentum[2]) / max(of, 1e-9)
 
 
 def _far(scene: Scene, orbit: Orbit, geocentric_m: float) -> tuple[float, str] | None:
