@@ -12,8 +12,9 @@ from catalog_tools.engine.schedulers import open_scheduler
 from pipeline.errors import BadInput
 from pipeline.physics.constants import DAY_S, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import unaberrate
-from pipeline.physics.positions.times import format_utc, instants, parse_utc
+from pipeline.physics.positions.times import elapsed_s, format_utc, instants, parse_utc
 from pipeline.physics.vectors import to_angles
+from pipeline.plan.targets.orbit_age import old_elements, sensor_remarks
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.study import FieldOfRegard
@@ -86,9 +87,17 @@ def find(scene: Scene, request: FindOptions, workers: int | None = None) -> Foun
             census["SGP4 cannot follow them"] += rows[1]
     objects = sorted((row for k in sorted(found) for row in found[k]), key=lambda o: -o["snr"])
     times = [_utc(watcher, t) for t in offsets[[0, -1]]]
-    return FoundObjects(
-        objects, len(elements), times[0], times[1], _notes(watcher, search, census, request)
-    )
+    notes = _notes(watcher, search, census, request) + _aged(watcher, elements, offsets)
+    return FoundObjects(objects, len(elements), times[0], times[1], notes)
+
+
+def _aged(watcher: Watcher, elements: Elements, offsets: Array) -> list[str]:
+    """What is to be said of old elements, and of the sensor's own orbit."""
+    days = -elapsed_s(watcher.epoch, elements.jd1, elements.jd2) / DAY_S
+    span = float(offsets[0]), float(offsets[-1])
+    rev_day = elements.mean[:, 5] * 1440.0 / (2.0 * np.pi)
+    own = [f"the sensor: {told}" for told in sensor_remarks(watcher.resolved.scene, *span)]
+    return own + old_elements(elements.name.tolist(), days, rev_day, span, "objects")
 
 
 def _batch(shared: tuple[Search, Elements], first: int) -> tuple[list[JsonObject], int]:

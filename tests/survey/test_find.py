@@ -241,6 +241,27 @@ def test_what_sgp4_cannot_follow_is_told(tmp_path: Path) -> None:
     assert "1 of 2 element sets omitted: SGP4 cannot follow them" in told["notes"]
 
 
+def test_old_elements_are_told(tmp_path: Path) -> None:
+    """How many are more than three days old when the search ends, and the worst by 1 km and 3 km a
+    day (low) or 0.5 km a day (high); of the sensor's own as well."""
+    from tests.observe.test_against_others import tle
+
+    lines = []  # the search ends on day 113.75; the last is the sensor's
+    for k, day in enumerate((106.0, 110.5, 112.9, 110.5)):
+        one, two = tle(k + 1, 51.6, 10.0 * k, 0.001, 20.0, 30.0, (1.0, 15.0, 15.0, 15.0)[k])
+        one = one[:18] + f"19{day:012.8f}" + one[32:68]
+        lines += [one + str(sum(int(c) if c.isdigit() else c == "-" for c in one) % 10), two]
+    (tmp_path / "three.tle").write_text("\n".join(lines[:6]))
+    orbit = {"kind": "tle", "line1": lines[6], "line2": lines[7]}
+    asked = ("--at", "2019-04-23T12:00:00Z", "--hours", "6", "--step", "600")
+    asked += ("--set", f"populations.0.path={tmp_path}/three.tle")
+    observer = json.dumps({"kind": "orbit", "orbit": orbit})
+    ground, space = shown(*asked), shown(*asked, "--set", f"observer={observer}")
+    worst = "elements of 3.25 days before the times asked for: SGP4 is expected to be 10.8 km off"
+    assert ground["notes"][-1] == (f"2 of the objects have old elements, the worst 2: {worst}")
+    assert f"the sensor: its own orbit: {worst}" in space["notes"]
+
+
 def test_objects_that_the_shadow_does_not_dim() -> None:
     """`eclipse: false`: they are found in the Earth's shadow, too."""
     dark = ("--night", "--step", "600", "--elevation", "60")

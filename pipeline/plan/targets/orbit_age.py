@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Geometry
 from pipeline.physics.constants import (
@@ -34,6 +37,8 @@ from pipeline.spec.targets.orbit import (
     TableOrbit,
     TleOrbit,
 )
+
+Array = NDArray[np.float64]
 
 SUN_GM_M3_S2 = 1.327_124_400_18e20
 INFLUENCE_M = 9.24e8  # (GM_earth / GM_sun)^(2/5) au: beyond it the Sun's pull decides
@@ -89,17 +94,17 @@ def _movers(scene: Scene, g: Geometry) -> list[tuple[str, Orbit, float, float]]:
     return movers
 
 
-def elements_error_m(age_days: float, rev_day: float) -> float:
-    """Expected error [m] of SGP4 with elements so old: a rule of thumb, along the track.
+def elements_error_m(age_days: Array | float, rev_day: Array | float) -> Array:
+    """Expected error (n,) [m] of SGP4 with elements so old: a rule of thumb, along the track.
 
     About 1 km at the epoch, then 1 to 3 km a day in low orbits (Vallado & Cefola 2012, "Two-line
     element sets: practice and use", IAC-12; Levit & Marshall 2011, Adv. Space Res. 47, 1107,
     doi:10.1016/j.asr.2010.10.017), and some 0.5 km a day in high ones; at most the orbit's
     diameter. With changing drag, or after a manoeuvre, errors grow with the square of time.
     """
-    axis_m = (EARTH_GM_M3_S2 / (2.0 * np.pi * rev_day / DAY_S) ** 2) ** (1.0 / 3.0)
-    per_day = LOW_KM_DAY if rev_day > LOW_REV_DAY else HIGH_KM_DAY
-    return float(min(1e3 * (AT_EPOCH_KM + per_day * abs(age_days)), 2.0 * axis_m))
+    axis_m = np.cbrt(EARTH_GM_M3_S2 / (2.0 * np.pi * np.asarray(rev_day) / DAY_S) ** 2)
+    per_day = np.where(np.asarray(rev_day) > LOW_REV_DAY, LOW_KM_DAY, HIGH_KM_DAY)
+    return np.minimum(1e3 * (AT_EPOCH_KM + per_day * np.abs(age_days)), 2.0 * axis_m)
 
 
 def sensor_remarks(scene: Scene, first_s: float, last_s: float) -> list[str]:
@@ -113,9 +118,53 @@ def sensor_remarks(scene: Scene, first_s: float, last_s: float) -> list[str]:
 
 def oldest_remarks(scene: Scene, first_s: float, last_s: float) -> list[str]:
     """How many targets have old elements between two times after the epoch, and the worst."""
-    found = [(t.name, _aged(scene, t.orbit, first_s, last_s)) for t in scene.targets]
-    old = [(told[0], f"{name}: {told[1]}") for name, told in found if told is not None]
-    return [f"{len(old)} of the targets have old elements, the worst {max(old)[1]}"] if old else []
+    mean = [t for t in scene.targets if isinstance(t.orbit, TleOrbit | OmmOrbit)]
+    known = [_since_days(scene, t.orbit) for t in mean]  # type: ignore[arg-type]
+    days, rev_day = np.array(known, float).reshape(-1, 2).T
+    return old_elements([t.name for t in mean], days, rev_day, (first_s, last_s), "targets")
+
+
+def old_elements(
+    names: Sequence[str],
+    since_days: Array,
+    rev_day: Array,
+    span_s: tuple[float, float],
+    what: str,
+) -> list[str]:
+    """How many of n objects have old elements in a span of time, and the worst.
+
+    since_days : (n,) from the elements' epoch to the instant from which the span counts
+    """
+    age = _farther_days(since_days, *span_s)
+    old = np.flatnonzero(np.abs(age) > FRESH_DAYS)
+    if not len(old):
+        return []
+    error = elements_error_m(age[old], rev_day[old])
+    worst = int(np.argmax(error))
+    k = old[worst]
+    told = f"{names[k]}: {_age_told(float(age[k]), float(error[worst]), ASKED_FOR)}"
+    return [f"{len(old)} of the {what} have old elements, the worst {told}"]
+
+
+def _farther_days(since_days: Array | float, first_s: float, last_s: float) -> Array:
+    """Age (n,) [days] of elements at the end of a span that is the farther from their epoch."""
+    first, last = since_days + first_s / DAY_S, since_days + last_s / DAY_S
+    return np.where(np.abs(first) >= np.abs(last), first, last)
+
+
+def _age_told(age_days: float, error_m: float, end: str) -> str:
+    when = "before" if age_days > 0 else "after"
+    return (
+        f"elements of {abs(age_days):.4g} days {when} {end}: SGP4 is expected to be "
+        f"{error_m / 1e3:.3g} km off"
+    )
+
+
+def _since_days(scene: Scene, orbit: TleOrbit | OmmOrbit) -> tuple[float, float]:
+    """Days from the elements' epoch to the scene's, and revolutions a day."""
+    (utc1, utc2), rev_day = elements_epoch(orbit)
+    start = parse_utc(scene.epoch)
+    return (start[0] - utc1) + (start[1] - utc2), rev_day
 
 
 def two_body_remarks(scene: Scene, first_s: float, last_s: float) -> list[str]:
@@ -156,20 +205,12 @@ def _aged(
     """
     if not isinstance(orbit, TleOrbit | OmmOrbit):
         return None
-    (utc1, utc2), rev_day = elements_epoch(orbit)
-    start = parse_utc(scene.epoch)
-    since = (start[0] - utc1) + (start[1] - utc2)
-    last = end_s(scene) if last_s is None else last_s
-    age = max(since + first_s / DAY_S, since + last / DAY_S, key=abs)
+    since, rev_day = _since_days(scene, orbit)
+    age = float(_farther_days(since, first_s, end_s(scene) if last_s is None else last_s))
     if abs(age) <= FRESH_DAYS:
         return None
-    error = elements_error_m(age, rev_day)
-    when = "before" if age > 0 else "after"
-    end = "the scene's end" if last_s is None else ASKED_FOR
-    return error, (
-        f"elements of {abs(age):.4g} days {when} {end}: SGP4 is expected to be "
-        f"{error / 1e3:.3g} km off"
-    )
+    error = float(elements_error_m(age, rev_day))
+    return error, _age_told(age, error, "the scene's end" if last_s is None else ASKED_FOR)
 
 
 def _unturned(
