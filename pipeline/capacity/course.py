@@ -31,6 +31,7 @@ from pipeline.survey.elements import (
     joined,
     synthetic_elements,
 )
+from pipeline.survey.prune import itself
 from pipeline.survey.sights import Sights, allowed
 from pipeline.survey.watch import Watcher, WatchMoments, make_watcher
 
@@ -50,7 +51,7 @@ class StudyCourse:
     watchers : one for each sensor; units : (u,) the sensor of each single one of them
     least_snr : of a frame, below which no dwell has the least probability; key : of all that the
     result follows from; idle : sensors that look nowhere in the period, and why; remarks : what is
-    to be said of the sensors' own orbits
+    to be said of sensors in orbit
     """
 
     study: Study
@@ -156,7 +157,10 @@ def make_course(data: JsonObject, out: Path) -> StudyCourse:
         tuple(
             f"{watcher.name}: {told}"
             for watcher in watchers
-            for told in sensor_remarks(watcher.resolved.scene, 0.0, study.duration_h * 3600.0)
+            for told in [
+                *sensor_remarks(watcher.resolved.scene, 0.0, study.duration_h * 3600.0),
+                *_not_itself(watcher, elements),
+            ]
         ),
     )
 
@@ -195,6 +199,12 @@ def _elements(study: Study, epoch: tuple[float, float]) -> tuple[Elements, Censu
     if asked.synthetic is not None:
         parts.append(synthetic_elements(asked.synthetic, epoch))
     return joined(parts), census
+
+
+def _not_itself(watcher: Watcher, elements: Elements) -> list[str]:
+    """That a satellite which is in the catalogue is not looked for by itself."""
+    names = ", ".join(elements.name[itself(watcher, elements)].tolist())
+    return [f"it is {names} of the catalogue, and does not look for itself"] if names else []
 
 
 def _idle(watcher: Watcher, length_s: float) -> BadInput | None:

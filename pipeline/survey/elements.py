@@ -132,10 +132,15 @@ def _columns(rows: list[tuple[ElementSet, float, bool]]) -> Elements:
         np.array([(one.name or str(one.number))[:40] for one, *_ in rows]),
         np.array([s.jdsatepoch for s in satellites]),  # type: ignore[union-attr]
         np.array([s.jdsatepochF for s in satellites]),  # type: ignore[union-attr]
-        np.array([[getattr(s, name) for name in _MEAN] for s in satellites]),
+        np.array([mean_of(s) for s in satellites]),
         np.array([light for _, light, _ in rows]),
         np.array([shaded for *_, shaded in rows]),
     )
+
+
+def mean_of(satellite: Satrec) -> list[float]:
+    """Mean elements of a satellite, as `Elements.mean` has them."""
+    return [getattr(satellite, name) for name in _MEAN]
 
 
 def _nearest(

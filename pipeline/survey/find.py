@@ -19,6 +19,7 @@ from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.study import FieldOfRegard
 from pipeline.survey.elements import Census, Elements, gather_elements
+from pipeline.survey.prune import itself
 from pipeline.survey.search import Search, make_search
 from pipeline.survey.sights import Sights
 from pipeline.survey.watch import Watcher, make_watcher
@@ -76,6 +77,7 @@ def find(scene: Scene, request: FindOptions, workers: int | None = None) -> Foun
     offsets = _offsets(watcher, request)
     middle = (epoch[0], epoch[1] + 0.5 * float(offsets[0] + offsets[-1]) / DAY_S)
     elements, census = gather_elements(scene.populations, middle)
+    census["the sensor itself"] += int(itself(watcher, elements).sum())
     search = make_search(watcher, offsets, request.least_snr)
     starts = range(0, len(elements), BATCH)
     found: dict[int, list[JsonObject]] = {}

@@ -15,13 +15,16 @@ from pipeline.physics.positions.orbit_bounds import (
 from pipeline.physics.positions.times import elapsed_s
 from pipeline.physics.targets.lighting import photon_rate_at_aperture
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
+from pipeline.plan.bodies.orbits import satellite_of
 from pipeline.spec.pointing.observer import GroundObserver
-from pipeline.survey.elements import Elements
+from pipeline.spec.targets.orbit import OmmOrbit, TleOrbit
+from pipeline.survey.elements import Elements, mean_of
 from pipeline.survey.watch import MOST_LIFT_RAD, Watcher, WatchMoments
 
 Array = NDArray[np.float64]
 
 NEAREST_SUN_M = 0.98 * ASTRONOMICAL_UNIT_M
+SAME_EPOCH_S = 1e-3
 SHARE = 0.98  # of the SNR asked for: the table's own error
 
 
@@ -32,7 +35,7 @@ def never_seen(
 
     By bounds of their orbits alone (`orbit_bounds`): a site's cap of sky does not reach them, or
     fully lit at their least distance, standing still at the zenith (before no light where
-    the sky changes), they are fainter than that.
+    the sky changes), they are fainter than that. Nor does a satellite see itself.
     """
     days = _days(watcher, watch, elements)
     motion, ecc, tilt = elements.mean[:, 5], elements.mean[:, 1], elements.mean[:, 3]
@@ -45,10 +48,22 @@ def never_seen(
     faint = watcher.snr(light_e, np.zeros_like(light_e), 0.0) < SHARE * least_snr
     o = watcher.observer
     if not isinstance(o, GroundObserver):
-        return faint
+        return faint | itself(watcher, elements)
     lowest = watcher.regard.lowest_elevation_deg * DEG_RAD - MOST_LIFT_RAD
     reach = latitude_bound_rad(tilt, motion, days)
     return faint | never_rises(o.latitude_deg * DEG_RAD, o.height_m, lowest, high, reach)
+
+
+def itself(watcher: Watcher, elements: Elements) -> NDArray[np.bool_]:
+    """Which objects (n,) are the satellite that looks: of its catalogue number, or its elements."""
+    orbit = getattr(watcher.observer, "orbit", None)
+    if not isinstance(orbit, TleOrbit | OmmOrbit):
+        return np.zeros(len(elements), bool)
+    own = satellite_of(orbit, f"{watcher.field}observer.orbit")
+    after_s = elapsed_s((own.jdsatepoch, own.jdsatepochF), elements.jd1, elements.jd2)
+    same = np.isclose(elements.mean, mean_of(own), rtol=1e-9, atol=1e-9).all(axis=1)
+    same &= np.abs(after_s) < SAME_EPOCH_S
+    return same | ((elements.number == own.satnum) & (own.satnum > 0))
 
 
 def _days(watcher: Watcher, watch: WatchMoments, elements: Elements) -> Array:

@@ -106,6 +106,24 @@ def test_an_orbit_of_a_sensor_is_doubted(data: Data, tmp_path: Path) -> None:
     assert "in 30 days from its elements turns the node by 29." in told  # sun-synchronous
 
 
+def test_a_sensor_of_the_catalogue_does_not_look_for_itself(data: Data, tmp_path: Path) -> None:
+    """Another sensor does; the study says it."""
+    lines = [tle(k, 51.6, 10.0, 0.001, 20.0, 30.0 + k, 15.0) for k in (1, 2)]
+    (tmp_path / "two.tle").write_text("\n".join(line for both in lines for line in both))
+    body = {"kind": "sphere", "diameter_m": 5.0, "albedo": 0.2}
+    two = {"name": "two", "path": str(tmp_path / "two.tle"), "body": body}
+    data["catalogue"] = {"populations": [two], "most_age_days": 100.0}
+    data["sensors"] = [
+        {"name": f"sat-{k}", "observer": {"kind": "orbit", "orbit": {
+            "kind": "tle", "line1": line1, "line2": line2}}}
+        for k, (line1, line2) in enumerate(lines)
+    ]  # fmt: skip
+    rows = rows_of(data, tmp_path)
+    assert {(sensor, object_) for _, sensor, object_, *_ in rows} == {(0, 1), (1, 0)}
+    told = "sat-0: it is 1 of the catalogue, and does not look for itself"
+    assert told in make_course(data, tmp_path).remarks
+
+
 def test_frames_needed_are_those_of_every_dwell(data: Data, tmp_path: Path) -> None:
     other = data["cameras"][0] | {"name": "other", "exposure": {"integration_s": 1.0, "frames": 5}}
     data |= {"cameras": [data["cameras"][0], other], "detection": {"frames_needed": 4}}

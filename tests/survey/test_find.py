@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sgp4.api import Satrec
 
 from pipeline.errors import BadInput
 from pipeline.observe.observe import observe
@@ -260,6 +261,48 @@ def test_old_elements_are_told(tmp_path: Path) -> None:
     worst = "elements of 3.25 days before the times asked for: SGP4 is expected to be 10.8 km off"
     assert ground["notes"][-1] == (f"2 of the objects have old elements, the worst 2: {worst}")
     assert f"the sensor: its own orbit: {worst}" in space["notes"]
+
+
+@pytest.mark.parametrize("kind", ["tle", "omm", "older"])
+def test_a_sensor_does_not_find_itself(kind: str, tmp_path: Path) -> None:
+    """Nor does it end the search of the others; by its number, whatever its elements, or by the
+    elements."""
+    from tests.observe.test_against_others import tle
+
+    both = [tle(k, 51.6, 10.0, 0.001, 20.0, 29.0 + k, 15.0) for k in (1, 2)]
+    (tmp_path / "two.tle").write_text("\n".join(line for lines in both for line in lines))
+    own = tle(1, 51.6, 10.0, 0.001, 20.0, 30.1 if kind == "older" else 30.0, 15.0)
+    orbit: dict[str, Any] = {"kind": "tle", "line1": own[0], "line2": own[1]}
+    if kind == "omm":
+        orbit = {"kind": "omm", "elements": {
+            "epoch": as_utc(own[0]), "mean_motion_rev_day": 15.0, "eccentricity": 0.001,
+            "inclination_deg": 51.6, "raan_deg": 10.0, "argument_of_perigee_deg": 20.0,
+            "mean_anomaly_deg": 30.0, "bstar": Satrec.twoline2rv(*own).bstar}}  # fmt: skip
+    observer = json.dumps({"kind": "orbit", "orbit": orbit})
+    found = shown("--at", as_utc(own[0]), "--hours", "1", "--step", "60", "--snr", "0.01",
+                  "--set", f"populations.0.path={tmp_path}/two.tle",
+                  "--set", f"observer={observer}")  # fmt: skip
+    assert [o["number"] for o in found["objects"]] == [2]
+    assert "1 of 2 element sets omitted: the sensor itself" in found["notes"]
+
+
+def test_observing_itself_is_refused_by_the_populations_name(tmp_path: Path) -> None:
+    """Not by a target, which the scene does not have."""
+    from tests.observe.test_against_others import tle
+
+    line1, line2 = tle(1, 51.6, 10.0, 0.001, 20.0, 30.0, 15.0)
+    (tmp_path / "one.tle").write_text(f"{line1}\n{line2}\n")
+    orbit = {"kind": "tle", "line1": line1, "line2": line2}
+    changes = [f"populations.0.path={tmp_path}/one.tle", f"epoch={as_utc(line1)}",
+               f"observer={json.dumps({'kind': 'orbit', 'orbit': orbit})}"]  # fmt: skip
+    with pytest.raises(BadInput, match=r"^populations\.0\.path: 'the observer at one place with"):
+        observe(load_scene(ROOT / "examples" / "population.yaml", changes))
+
+
+def as_utc(line1: str) -> str:
+    """The epoch of elements of 2019."""
+    day = np.timedelta64(round((float(line1[20:32]) - 1.0) * 86_400_000), "ms")
+    return f"{np.datetime64('2019-01-01T00:00:00.000') + day}Z"
 
 
 def test_objects_that_the_shadow_does_not_dim() -> None:

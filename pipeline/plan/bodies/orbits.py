@@ -50,7 +50,7 @@ def orbit_states(
     if isinstance(orbit, TleOrbit):
         place, speed = tle_states(orbit.line1, orbit.line2, times, field)
     elif isinstance(orbit, OmmOrbit):
-        place, speed = satellite_states(_satellite(orbit, field), _label(orbit), times, field)
+        place, speed = satellite_states(satellite_of(orbit, field), _label(orbit), times, field)
     else:
         return Movers([orbit], [field], epoch, times).states(offsets[None], single=True)
     check_above_earth(place, field)
@@ -80,7 +80,7 @@ class Movers:
         self._mean, self._plain, self._other = kinds.values()
         if self._mean:
             named = [(self._orbits[i], self._fields[i]) for i in self._mean]
-            self._satellites = [_satellite(o, f) for o, f in named]  # type: ignore[arg-type]
+            self._satellites = [satellite_of(o, f) for o, f in named]  # type: ignore[arg-type]
             self._since_s = since_epochs_s(self._satellites, epoch)
             self._matrices = teme_to_gcrs(times)
         if self._plain:
@@ -134,7 +134,8 @@ def _carried(
     raise _unread(orbit, field)  # type: ignore[arg-type]
 
 
-def _satellite(orbit: TleOrbit | OmmOrbit, field: str) -> Satrec:
+def satellite_of(orbit: TleOrbit | OmmOrbit, field: str) -> Satrec:
+    """The SGP4 satellite of mean elements."""
     if isinstance(orbit, TleOrbit):
         return tle_satellite(orbit.line1, orbit.line2, field)
     if orbit.elements is None:
@@ -144,7 +145,7 @@ def _satellite(orbit: TleOrbit | OmmOrbit, field: str) -> Satrec:
 
 def elements_epoch(orbit: TleOrbit | OmmOrbit) -> tuple[tuple[float, float], float]:
     """Two-part UTC date of mean elements, and revolutions a day."""
-    satellite = _satellite(orbit, "orbit")
+    satellite = satellite_of(orbit, "orbit")
     rev_day = satellite.no_kozai * 1440.0 / (2.0 * math.pi)
     return (satellite.jdsatepoch, satellite.jdsatepochF), rev_day
 

@@ -66,8 +66,10 @@ def _check_ranges(scene: Scene, which: Sequence[int], range_m: Array) -> None:
             continue
         where, name = "at one place with", scene.targets[i].name
         where = where if nearest < LEAST_RANGE_M else "inside of"
-        raise BadInput(
-            f"targets.{i}",
-            f"the observer {where} {name}, {nearest:.3g} m from it",
-            f"a target farther from it than its own radius ({least:.3g} m) at all times",
-        )
+        field, told = f"targets.{i}", f"the observer {where} {name}, {nearest:.3g} m from it"
+        allowed = f"a target farther from it than its own radius ({least:.3g} m) at all times"
+        for k, population in enumerate(scene.populations):
+            number = name.removeprefix(f"{population.name}-")
+            if number != name and number.replace("-", "").isdigit():  # as its members are named
+                field, allowed = f"populations.{k}.path", "a file without the observer's own orbit"
+        raise BadInput(field, told, allowed)
