@@ -10,7 +10,7 @@ from importlib.metadata import version
 from typing import Any
 
 import anyio.to_thread
-from fastapi import FastAPI, Request
+from fastapi import Depends, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
 from sqlalchemy.exc import DBAPIError, OperationalError
@@ -50,6 +50,7 @@ from service.routes import (
     tickets,
     usage,
 )
+from service.routes.parameters import only_known
 from service.scenes.accepted import Acceptance
 from service.scenes.uploads import Uploads
 from service.settings import Settings
@@ -155,7 +156,8 @@ def create_app(settings: Settings) -> FastAPI:
         redirect_slashes=False,
     )
     for room in ROOMS:
-        app.include_router(room.router)
+        of_rest = room.router.prefix.startswith("/v1")
+        app.include_router(room.router, dependencies=[Depends(only_known)] if of_rest else None)
     for kind in (NightglassError, RequestValidationError, HTTPException):
         app.add_exception_handler(kind, answer_problem)
     app.add_middleware(Gate, settings=settings, numbers=numbers, problem=answer_problem)

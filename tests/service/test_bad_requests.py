@@ -263,6 +263,46 @@ def test_wrong_requests(client: httpx.Client, method: str, path: str, status: in
     refused(client.request(method, path), status)
 
 
+@pytest.mark.parametrize(
+    ("method", "path", "name", "allowed"),
+    [
+        ("POST", "/v1/jobs?dryrun=1", "dryrun", "dry_run"),
+        ("POST", "/v1/sweeps?dry_run=1&dry-run=1", "dry-run", "dry_run"),
+        ("POST", "/v1/observe?foo=1", "foo", "times, snr"),
+        ("GET", "/v1/jobs?Limit=5", "Limit", "phase, after, limit"),
+        ("GET", "/v1/jobs/x/frames/0/tiles/0/0/picture.png?low=1&hi=2", "hi",
+         "stretch, low, high, layer, bin"),
+        ("GET", "/v1/usage?team=red", "team", "no parameter at this address"),
+        ("POST", "/v1/tickets?ticket=1", "ticket", "no parameter at this address"),
+    ],
+)  # fmt: skip
+def test_parameters_that_a_route_does_not_take(
+    client: httpx.Client, method: str, path: str, name: str, allowed: str
+) -> None:
+    """`POST /v1/jobs?dryrun=1` queued a job that was meant to be planned alone."""
+    answer = client.request(method, path, json={})
+    refused(answer, 422)
+    (told,) = answer.json()["errors"]
+    assert (told["pointer"], told["allowed"]) == (f"?{name}", allowed)
+
+
+def test_each_parameter_in_the_openapi_document_is_taken(client: httpx.Client) -> None:
+    """The document is made of the routes by FastAPI: no parameter of it is called unknown."""
+    paths, tried = client.get("/openapi.json").json()["paths"], 0
+    for path, methods in paths.items():
+        for method, told in methods.items():
+            names = [p["name"] for p in told.get("parameters", ()) if p["in"] == "query"]
+            if not path.startswith("/v1") or not names:
+                continue
+            at = path.replace("{", "").replace("}", "")
+            answer = client.request(method, at, params=dict.fromkeys(names, "\u00e9"))
+            problem = answer.json()
+            assert "parameter at this" not in answer.text
+            assert not {e["allowed"] for e in problem["errors"]} & {", ".join(names)}
+            tried += 1
+    assert tried >= 8
+
+
 def test_405_names_what_all_routes_of_a_path_take(client: httpx.Client) -> None:
     """RFC 9110, section 15.5.6: submitting and listing are routes of their own."""
     assert client.put("/v1/jobs").headers["allow"] == "GET, POST"
