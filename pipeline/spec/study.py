@@ -21,6 +21,7 @@ MOST_SENSORS, MOST_OBJECTS, MOST_RULES, MOST_STUDY_POINTS = 256, 1_000_000, 1000
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
 Degrees = Annotated[float, Field(ge=0, le=180)]
+Diameter = Annotated[float, Field(ge=1e-4, le=1e4)]  # [m]
 
 
 class FieldOfRegard(Strict):
@@ -95,9 +96,16 @@ class Synthetic(Strict):
 
     objects: int = Field(ge=1, le=MOST_OBJECTS)
     seed: int = Field(0, ge=0, lt=2**63)
-    smallest_m: Positive = 0.3
-    largest_m: Positive = 10.0
+    smallest_m: Diameter = 0.3
+    largest_m: Diameter = 10.0
     albedo: Fraction = 0.175
+
+    @model_validator(mode="after")
+    def _sizes_rise(self) -> Synthetic:
+        if self.smallest_m > self.largest_m:
+            told = {"low": self.smallest_m, "field": "largest_m"}
+            raise PydanticCustomError("sizes", "allowed: smallest_m = {low} or more", told)
+        return self
 
 
 class ObjectCatalogue(Strict):

@@ -167,6 +167,8 @@ def _offsets(watcher: Watcher, request: FindOptions) -> Array:
     if not 0.0 <= request.hours <= MOST_HOURS:
         raise BadInput("--hours", request.hours, f"0 to {MOST_HOURS:g}")
     start, end = 0.0, request.hours * 3600.0
+    if request.night and request.hours:
+        raise BadInput("--hours", f"{request.hours:g} with --night", "one of the two")
     if request.night:
         start, end = _night(watcher, request)
     count = int(np.floor((end - start) / request.step_s + 1e-9)) + 1

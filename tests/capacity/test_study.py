@@ -224,6 +224,12 @@ BAD: list[tuple[dict[str, Any], str]] = [
      "catalogue: 'epochs [0-9]+ to [0-9]+ days from the period' .*within 30 days"),
     ({"catalogue": {"populations": [{"name": "none", "path": "empty.tle", "body": {
         "kind": "sphere", "diameter_m": 1.0, "albedo": 0.2}}]}}, "catalogue.populations.0.path"),
+    ({"catalogue": {"synthetic": {"objects": 5, "smallest_m": 1e300}}},
+     "catalogue.synthetic.smallest_m: 1e.300 .*allowed: less than or equal to 10000"),
+    ({"catalogue": {"synthetic": {"objects": 5, "largest_m": 1e-300}}},
+     "catalogue.synthetic.largest_m: 1e-300 .*greater than or equal to 0.0001"),
+    ({"catalogue": {"synthetic": {"objects": 5, "smallest_m": 2.0, "largest_m": 1.0}}},
+     "catalogue.synthetic.largest_m: 1.0 is not accepted; allowed: smallest_m = 2.0 or more"),
     ({"cameras.0.tracking": "target", "tasking": {"kind": "serendipitous", "pattern": "strip",
         "from_deg": -10, "to_deg": 10}}, "cameras.0.tracking: 'target'"),
     ({"cameras.0.exposure": {"integration_s": 0.0}}, "cameras.0.exposure.integration_s: 0"),

@@ -99,6 +99,7 @@ def test_an_empty_field_says_where_to_look() -> None:
     [
         (FindOptions(at="yesterday"), "--at: 'yesterday' is not accepted"),
         (FindOptions(hours=1e4), "--hours: 10000.0"),
+        (FindOptions(hours=5.0, night=True), "--hours: '5 with --night' is not .*: one of the two"),
         (FindOptions(hours=50.0, step_s=1.0), "--step: 1.0"),
     ],
 )
