@@ -15,6 +15,8 @@ from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.positions.earth import gcrs_to_itrs
 from pipeline.physics.positions.times import instants
 from pipeline.physics.vectors import from_angles, separation, to_angles, unit
+from pipeline.plan.pointing.site import axes_of
+from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.study import SearchPattern
 from pipeline.survey.elements import Elements
 from pipeline.survey.sights import Sights, allowed, sights_of
@@ -106,8 +108,7 @@ def _axes(watcher: Watcher, watch: WatchMoments, pattern: SearchPattern, at_deg:
     at = at_deg * DEG_RAD
     pole = np.einsum("nji,j->ni", watch.to_gcrs, np.array([0.0, 0.0, 1.0]))
     if pattern.pattern == "fence":
-        east = unit(np.cross([0.0, 0.0, 1.0], watch.up))  # TEME's own axis: the pole of date
-        north = np.cross(watch.up, east)
+        north, east = _level(watcher, watch)
         azimuth = pattern.azimuth_deg * DEG_RAD
         level = np.cos(azimuth) * north + np.sin(azimuth) * east
         along, up = np.cos(at)[:, None] * level + np.sin(at)[:, None] * watch.up, watch.up
@@ -122,6 +123,17 @@ def _axes(watcher: Watcher, watch: WatchMoments, pattern: SearchPattern, at_deg:
         along, up = np.einsum("nji,nj->ni", watch.to_gcrs, strip), pole
     across = unit(np.cross(along, up))
     return np.stack([across, np.cross(across, along), along], axis=1)
+
+
+def _level(watcher: Watcher, watch: WatchMoments) -> tuple[Array, Array]:
+    """North and east (q, 3), TEME: a site's own; of a satellite by TEME's axis."""
+    site = watcher.observer
+    if isinstance(site, GroundObserver):
+        times = instants(watcher.epoch, watch.offset_s, watcher.resolved.dut1_s)
+        north, east, _ = np.einsum("nji,nkj->kni", watch.to_gcrs, axes_of(site, times))
+        return north, east
+    east = unit(np.cross([0.0, 0.0, 1.0], watch.up))
+    return np.cross(watch.up, east), east
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

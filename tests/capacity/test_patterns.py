@@ -95,6 +95,29 @@ def test_a_fence_stands_in_its_azimuth(course: Any) -> None:
     assert np.abs(across).max() < 1e-9  # rows lie level
 
 
+@pytest.mark.parametrize("latitude_deg", [-90.0, -89.9999, 20.7])
+def test_a_fence_stands_in_its_azimuth_at_a_pole(
+    course: Any, data: Data, latitude_deg: float
+) -> None:
+    """Where polar motion turns what counts as north: from the site's own axes in astropy's Earth,
+    at a pole by its longitude."""
+    longitude_deg = 40.0
+    data["sensors"][0]["field_of_regard"] = {"twilight_deg": 0.0}
+    site = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg, "height_m": 0.0}
+    data["sensors"][0]["observer"] = {"kind": "ground", **site}
+    slots = slots_of(course(pattern="fence", from_deg=20.0, to_deg=80.0, azimuth_deg=110.0), 0, 0)
+    far = coord.GCRS(*1e12 * u.m * along(slots).T, representation_type="cartesian",
+                     obstime=when(slots))  # fmt: skip
+    fixed = far.transform_to(coord.ITRS(obstime=when(slots)))
+    x, y, z = fixed.cartesian.xyz.to_value(u.m) / 1e12
+    sl, cl, sp, cp = (f(np.radians(a)) for a in (longitude_deg, latitude_deg)
+                      for f in (np.sin, np.cos))  # fmt: skip
+    north, east = -sp * cl * x - sp * sl * y + cp * z, cl * y - sl * x
+    height = np.arcsin(cp * cl * x + cp * sl * y + sp * z)
+    off = (np.degrees(np.arctan2(east, north)) - 110.0) * np.cos(height)
+    assert np.abs(off).max() < 1e-4
+
+
 def test_a_belt_is_the_geostationary_ring(course: Any) -> None:
     slots = slots_of(course(pattern="belt", from_deg=-200.0, to_deg=-110.0), 0, 1)
     grid = np.radians(np.linspace(-200.0, -110.0, 9001))
