@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -37,10 +38,12 @@ from pipeline.plan.targets.populations import whole_sky
 from pipeline.plan.timing import end_s
 from pipeline.spec.scene import Scene
 from pipeline.spec.targets.mesh import MeshBody
+from pipeline.store.result_files import check_ending, without_nan
 
 Array = NDArray[np.float64]
 
 MOST_POINTS = 1_000_000
+ENDINGS = (".parquet", ".csv")
 
 
 @dataclass(frozen=True)
@@ -166,11 +169,16 @@ def _worked_out(scene: Scene, which: list[int], at: Moments, view: View) -> dict
 def write_light_curves(
     curves: Iterator[tuple[str, LightCurve]], table: Path, plot: Path | None = None
 ) -> int:
-    """Write light curves as Parquet, a few hundred at a time, and the only one as a PNG where
-    `plot` is given (needs matplotlib); how many there were."""
+    """Write light curves as Parquet or CSV, by the file's ending, a few hundred at a time, and the
+    only one as a PNG where `plot` is given (needs matplotlib); how many there were."""
     if plot is not None:
         need_matplotlib("leave out --plot")
-    notes = {"mag_ab": "AB, in the sensor's band, above the air; NaN: no light"}
+    check_ending(table, ENDINGS)
+    ending = table.suffix.lower()
+
+    def plain(rows: pa.Table) -> pa.Table:
+        return without_nan(rows) if ending == ".csv" else rows
+
     name, curve = next(curves)
     count, first = 1, _table(name, curve, utc := _utc(curve))
     if plot is not None:
@@ -180,16 +188,23 @@ def write_light_curves(
     try:
         with (
             whole_file(table) as own,
-            pq.ParquetWriter(own, first.schema.with_metadata(notes)) as writer,
+            _writer(own, first.schema, ending) as writer,
         ):
-            writer.write_table(first)
+            writer.write_table(plain(first))
             while some := list(islice(curves, TOGETHER)):
-                writer.write_table(pa.concat_tables([_table(n, c, utc) for n, c in some]))
+                writer.write_table(plain(pa.concat_tables([_table(n, c, utc) for n, c in some])))
                 count += len(some)
     except OSError as error:
         why = os.strerror(error.errno or 0)
         raise BadInput("-o", str(table), f"a file that can be written; {why}") from None
     return count
+
+
+def _writer(path: Path, schema: pa.Schema, ending: str) -> pq.ParquetWriter | pyarrow.csv.CSVWriter:
+    if ending == ".csv":
+        return pyarrow.csv.CSVWriter(path, schema)
+    notes = {"mag_ab": "AB, in the sensor's band, above the air; NaN: no light"}
+    return pq.ParquetWriter(path, schema.with_metadata(notes))
 
 
 def _utc(curve: LightCurve) -> pa.Array:

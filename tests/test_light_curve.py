@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from pipeline.plan.bodies import mesh_tables
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.resolve.files import read_files
 from pipeline.spec.load import parse_scene
+from tests.command import nightglass
 
 ROOT = Path(__file__).parents[1]
 BAND = box(400e-9, 900e-9)
@@ -91,6 +93,29 @@ def test_an_orbit_passes_through_the_shadow(tmp_path) -> None:
     for name, wanted in columns.items():
         np.testing.assert_allclose(read[name].to_numpy(), wanted, rtol=1e-12, err_msg=name)
     assert plot.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_table_is_of_the_form_that_its_ending_names(tmp_path: Path) -> None:
+    """CSV as the standard library reads it, with nothing where there is no light; no other form."""
+    curves = list(light_curves(parse_scene(SCENE), [], BAND, 0.0, 6000.0, 61))
+    for name in ("a.parquet", "a.csv"):
+        write_light_curves(iter(curves), tmp_path / name)
+    kept = pq.read_table(tmp_path / "a.parquet").to_pylist()
+    with (tmp_path / "a.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [(r["target"], r["utc"]) for r in rows] == [(r["target"], r["utc"]) for r in kept]
+    assert any(r["mag_ab"] == "" for r in rows)
+    for ours, wanted in zip(rows, kept, strict=True):
+        assert float(ours["mag_ab"] or "nan") == pytest.approx(wanted["mag_ab"], nan_ok=True)
+        assert float(ours["range_m"]) == wanted["range_m"]
+    scene = tmp_path / "scene.json"
+    scene.write_text("{}")  # the ending is looked at before it
+    for name in ("a.json", "a.fits", "a"):
+        with pytest.raises(BadInput, match=r"-o: .* ends in \.parquet, \.csv"):
+            write_light_curves(iter(curves), tmp_path / name)
+        told = nightglass("light-curve", str(scene), "-o", str(tmp_path / name))
+        assert (told.returncode, "ends in .parquet, .csv" in told.stderr) == (2, True)
+        assert not (tmp_path / name).exists()
 
 
 def test_many_together_are_each_as_alone(tmp_path: Path) -> None:

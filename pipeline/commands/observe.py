@@ -13,11 +13,12 @@ from catalog_tools.documents import JsonObject
 from pipeline.commands.options import Json, Overrides, SceneFile, Workers, print_json
 from pipeline.commands.pages import is_quiet, stage_progress
 from pipeline.lines import fold, table
-from pipeline.observe.files import as_data, check_ending, write
+from pipeline.observe.files import ENDINGS, as_data, write
 from pipeline.observe.observe import Observed
 from pipeline.observe.observe import observe as look
 from pipeline.spec.load import load_scene
 from pipeline.spec.study import FieldOfRegard
+from pipeline.store.result_files import check_ending
 from pipeline.survey.find import FindOptions, FoundObjects
 from pipeline.survey.find import find as look_for
 
@@ -52,7 +53,7 @@ def observe(
 ) -> None:
     """Where every target is, how bright, at what SNR, and whether it is seen, without drawing."""
     if output is not None:
-        check_ending(output)
+        check_ending(output, ENDINGS)
     loaded = load_scene(scene, set_ or [])
     with stage_progress(is_quiet(as_json), "rows") as listen:
         observed = look(loaded, times, snr, listen, centroid_noise)

@@ -11,11 +11,12 @@ from pipeline.commands.options import Json, Output, Overrides, SceneFile, print_
 from pipeline.inputs.band.colour_fit import describe, gather_colour_points
 from pipeline.inputs.band.colour_fit_files import colour_fit_of, write_colour_fit
 from pipeline.inputs.band.response import gather_response
-from pipeline.light_curve import light_curves, write_light_curves
+from pipeline.light_curve import ENDINGS, light_curves, write_light_curves
 from pipeline.lines import pair
 from pipeline.resolve.files import read_files
 from pipeline.spec.load import load_scene
 from pipeline.spec.scene import Scene
+from pipeline.store.result_files import check_ending
 
 
 def schema() -> None:
@@ -58,7 +59,8 @@ def light_curve(
     points: Annotated[int, typer.Option(min=2, max=1_000_000, help="times, evenly spaced")] = 1000,
     plot: Annotated[Path | None, typer.Option(help="also a plot, PNG")] = None,
 ) -> None:
-    """Magnitude, phase angle, range and eclipse of targets against time, as Parquet."""
+    """Magnitude, phase angle, range and eclipse of targets against time, as Parquet or CSV."""
+    check_ending(output, ENDINGS)
     loaded = read_files(load_scene(scene, set_ or []))
     response = gather_response(loaded)[0]
     count = write_light_curves(

@@ -29,7 +29,7 @@ COMMANDS: Table = {
     ),
     "light-curve": (
         "scene:light_curve",
-        "Magnitude, phase angle, range and eclipse of targets against time, as Parquet.",
+        "Magnitude, phase angle, range and eclipse of targets against time, as Parquet or CSV.",
     ),
     "serve": ("serve:serve", "Serve the REST interface."),
     "keys": ("serve:keys", "API keys of the service: create, revoke, list."),

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
-import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
@@ -19,6 +18,7 @@ from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import whole_file
 from pipeline.errors import BadInput
 from pipeline.observe.observe import Observed
+from pipeline.store.result_files import check_ending, without_nan
 
 ENDINGS = (".parquet", ".csv", ".json", ".tdm")
 HEAD = """CCSDS_TDM_VERS = 2.0
@@ -44,17 +44,9 @@ COMMENT Angles {noise}
 """
 
 
-def check_ending(path: Path) -> None:
-    """BadInput for a file of no known form, before anything is worked out."""
-    if path.suffix.lower() not in ENDINGS:
-        raise BadInput("-o", path.name, f"a name that ends in {', '.join(ENDINGS)}")
-    if not path.parent.is_dir():
-        raise BadInput("-o", str(path), "a file in a folder that exists")
-
-
 def write(observed: Observed, path: Path) -> None:
     """Write all rows, as TDM those that are seen; whole or not at all."""
-    check_ending(path)
+    check_ending(path, ENDINGS)
     ending = path.suffix.lower()
     try:
         with whole_file(path) as own:
@@ -62,7 +54,7 @@ def write(observed: Observed, path: Path) -> None:
                 notes = {"scene": observed.scene, "notes": json.dumps(observed.notes)}
                 pq.write_table(observed.table.replace_schema_metadata(notes), own)
             elif ending == ".csv":
-                pyarrow.csv.write_csv(_without_nan(observed.table), own)
+                pyarrow.csv.write_csv(without_nan(observed.table), own)
             elif ending == ".json":
                 own.write_text(json.dumps(as_data(observed), allow_nan=False), encoding="utf-8")
             else:
@@ -74,19 +66,9 @@ def write(observed: Observed, path: Path) -> None:
 
 def as_data(observed: Observed) -> JsonObject:
     """Plain data: scene, counts by reason, notes, rows (null where there is no value)."""
-    rows = _without_nan(observed.table).to_pylist()
+    rows = without_nan(observed.table).to_pylist()
     notes = list(observed.notes)
     return {"scene": observed.scene, "counts": observed.counts(), "notes": notes, "rows": rows}
-
-
-def _without_nan(table: pa.Table) -> pa.Table:
-    """The table with nulls for NaN."""
-    for i, field in enumerate(table.schema):
-        if pa.types.is_floating(field.type):
-            column = table.column(i)
-            held = pc.if_else(pc.is_finite(column), column, pa.scalar(None, field.type))
-            table = table.set_column(i, field.name, held)
-    return table
 
 
 def tdm_text(observed: Observed) -> str:

@@ -59,13 +59,14 @@ def times_of(scene: Scene, asked: str | Iterable[str | float] | None) -> Times:
 def _range_s(scene: Scene, first: str, last: str, step: str) -> Array:
     start, stop = _offset_s(scene, first), _offset_s(scene, last)
     try:
-        count = (stop - start) / float(step)
-    except (ValueError, ZeroDivisionError):
-        count = np.nan
+        step_s = float(step)
+    except ValueError:
+        step_s = np.nan
+    count = (stop - start) / step_s if 0.0 < step_s < np.inf else np.nan
     if not 0.0 <= count < MOST_TIMES:
         allowed = f"a step above 0 s and a stop after the start, in at most {MOST_TIMES} times"
         raise BadInput("times", f"{first},{last},{step}", allowed)
-    return np.asarray(start + float(step) * np.arange(int(count + 1e-9) + 1))
+    return np.asarray(start + step_s * np.arange(int(count + 1e-9) + 1))
 
 
 def _lines(path: Path) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.errors import BadInput
 from pipeline.execute.sources import place_targets
 from pipeline.observe.centroid import centroid_covariance_px2
 from pipeline.observe.observe import Observed, observe
@@ -116,6 +117,13 @@ def test_times_and_the_frames_that_they_are_like() -> None:
     np.testing.assert_allclose(mixed, [30.0, 50.0])
     exposed = times_of(scene, None)
     assert (exposed.middle_s.tolist(), exposed.as_exposed) == ([1.0, 21.0, 41.0], True)
+
+
+@pytest.mark.parametrize("step", ["inf", "-inf", "nan", "0", "-5", "soon"])
+def test_steps_that_are_none(step: str) -> None:
+    """Refused before anything is worked out with them (a RuntimeWarning fails the test)."""
+    with pytest.raises(BadInput, match="a step above 0 s"):
+        times_of(parse_scene(night()), f"0,10,{step}")
 
 
 def test_out_of_the_field_streaks_along_the_columns_charge() -> None:
