@@ -29,6 +29,7 @@ from pipeline.survey.elements import (
     fresh,
     gather_elements,
     joined,
+    named_by,
     synthetic_elements,
 )
 from pipeline.survey.prune import itself
@@ -73,7 +74,7 @@ class StudyCourse:
 
     @property
     def steps(self) -> int:
-        return max(1, math.ceil(self.study.duration_h * 3600.0 / self.study.step_s))
+        return steps_of(self.study)
 
     @property
     def hours(self) -> float:
@@ -133,6 +134,7 @@ def make_course(data: JsonObject, out: Path) -> StudyCourse:
     epoch = parse_utc(study.start, "start")
     watchers = tuple(_watcher(data, study, i, epoch) for i in range(len(study.sensors)))
     elements, census = _elements(study, epoch)
+    census.unmet += (*_unnamed(study, elements), *_rounded(study))
     idle = [_idle(watcher, study.duration_h * 3600.0) for watcher in watchers]
     if all(idle) and idle[0] is not None:
         raise idle[0]
@@ -205,6 +207,30 @@ def _not_itself(watcher: Watcher, elements: Elements) -> list[str]:
     """That a satellite which is in the catalogue is not looked for by itself."""
     names = ", ".join(elements.name[itself(watcher, elements)].tolist())
     return [f"it is {names} of the catalogue, and does not look for itself"] if names else []
+
+
+def steps_of(study: Study) -> int:
+    """Whole steps that hold all of a study's period."""
+    return max(1, math.ceil(study.duration_h * 3600.0 / study.step_s * (1.0 - 1e-12)))
+
+
+def _rounded(study: Study) -> list[str]:
+    """That the period is longer than asked for, where it is no whole number of steps."""
+    asked_s, length_s = study.duration_h * 3600.0, steps_of(study) * study.step_s
+    if math.isclose(asked_s, length_s, rel_tol=1e-9):
+        return []
+    told = f"{length_s / 3600.0:.4g} h are simulated: whole steps of {study.step_s:g} s"
+    return [f"duration_h: {study.duration_h:g}; {told}"]
+
+
+def _unnamed(study: Study, elements: Elements) -> list[str]:
+    """Rules of the tasking that name no object of the catalogue."""
+    rules = study.tasking.rules if isinstance(study.tasking, CuedTasking) else ()
+    return [
+        f"tasking.rules.{i} names no object of the catalogue"
+        for i, (_, named) in enumerate(named_by(rules, elements))
+        if not named.any()
+    ]
 
 
 def _idle(watcher: Watcher, length_s: float) -> BadInput | None:

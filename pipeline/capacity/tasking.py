@@ -15,7 +15,7 @@ from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.noise.streams import philox, stream_key, uniform
 from pipeline.physics.vectors import separation
 from pipeline.spec.study import CuedTasking
-from pipeline.survey.elements import Elements
+from pipeline.survey.elements import Elements, named_by
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -45,13 +45,7 @@ def begin_state(course: StudyCourse) -> SensorState:
 def wanted(rule: CuedTasking, elements: Elements) -> tuple[Array, Array]:
     """Priority and revisit time [s] of each object (n,): by the first rule that names it."""
     priority, revisit = np.ones(len(elements)), np.full(len(elements), rule.revisit_h * 3600.0)
-    upper = np.char.upper(elements.name.astype(str))
-    for r in reversed(rule.rules):
-        named = np.isin(elements.number, r.numbers)
-        if r.name_contains is not None:
-            named |= np.char.find(upper, r.name_contains.upper()) >= 0
-        elif not r.numbers:
-            named[:] = True
+    for r, named in named_by(rule.rules[::-1], elements):
         priority[named] = r.priority
         revisit[named] = (r.revisit_h or rule.revisit_h) * 3600.0
     return priority, revisit

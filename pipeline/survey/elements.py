@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +21,7 @@ from pipeline.physics.positions.times import elapsed_s
 from pipeline.physics.targets.sphere import sphere_area_function
 from pipeline.plan.bodies.albedos import albedo_of
 from pipeline.plan.targets.populations import Sizes, member_body, nearest_sets
-from pipeline.spec.study import Synthetic
+from pipeline.spec.study import PriorityRule, Synthetic
 from pipeline.spec.targets.body import Body, LightCurveBody, SphereBody
 from pipeline.spec.targets.population import Population
 
@@ -86,15 +86,20 @@ class Elements:
 
 
 class Census(Counter[str]):
-    """How many element sets are not looked at, by reason; `read` of them in all."""
+    """How many element sets are not looked at, by reason; `read` of them in all.
+
+    unmet : what was asked for and is of no object
+    """
 
     read = 0
+    unmet: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
-        """One line for each reason."""
-        return [
+        """One line for each reason, and what is unmet."""
+        omitted = [
             f"{n} of {self.read} element sets omitted: {w}" for w, n in sorted(self.items()) if n
         ]
+        return [*omitted, *self.unmet]
 
 
 def gather_elements(
@@ -111,6 +116,7 @@ def gather_elements(
         sizes: Sizes = {}
         if population.sizes is not None:
             sizes = read_sizes(Path(population.sizes), f"{place}.sizes")
+        first_row = len(rows)
         for batch in element_sets(Path(population.path), f"{place}.path"):
             census.read += len(batch)
             for one in batch:
@@ -120,9 +126,23 @@ def gather_elements(
                 else:
                     body = member_body(population, sizes, one.name, one.number)
                     rows.append((one, _reflecting_m2(body, place), population.eclipse))
+        census.unmet += _unmet(population, sizes, [one for one, *_ in rows[first_row:]], place)
     if not rows:
         raise BadInput(f"{field}.0.path", first or "nothing", "element sets to be read")
     return _nearest(_columns(rows), middle, census)
+
+
+def _unmet(
+    population: Population, sizes: Sizes, sets: Sequence[ElementSet], field: str
+) -> tuple[str, ...]:
+    """Rules of a population that name no object of its file, and a table of sizes with none."""
+    names = [one.name.lower() for one in sets]
+    words = [rule.name_contains for rule in population.rules]
+    idle = [f"'{word}'" for word in words if not any(word.lower() in name for name in names)]
+    told = [f"{field}.rules: no object's name contains {', '.join(idle)}"] if idle else []
+    if population.sizes is not None and sizes.keys().isdisjoint(one.number for one in sets):
+        told.append(f"{field}.sizes: none of its {len(sizes)} numbers is of an object of the file")
+    return tuple(told)
 
 
 def _columns(rows: list[tuple[ElementSet, float, bool]]) -> Elements:
@@ -198,6 +218,20 @@ def _reflecting_m2(body: Body, field: str) -> float:
 
 def _of_one_value(body: LightCurveBody) -> bool:
     return len(set(body.magnitudes or body.intensities_m2_sr or ())) == 1
+
+
+def named_by(
+    rules: Sequence[PriorityRule], elements: Elements
+) -> Iterator[tuple[PriorityRule, NDArray[np.bool_]]]:
+    """Rules, each with the objects (n,) that it names: by number, by part of the name, or all."""
+    upper = np.char.upper(elements.name.astype(str))
+    for rule in rules:
+        named = np.isin(elements.number, rule.numbers)
+        if rule.name_contains is not None:
+            named |= np.char.find(upper, rule.name_contains.upper()) >= 0
+        elif not rule.numbers:
+            named[:] = True
+        yield rule, named
 
 
 def synthetic_elements(request: Synthetic, start: tuple[float, float]) -> Elements:

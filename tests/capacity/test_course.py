@@ -69,6 +69,30 @@ def test_steps_hold_all_of_the_period(
     assert course.hours == pytest.approx(steps * step_s / 3600.0)
 
 
+def test_a_period_that_is_no_whole_number_of_steps_is_told(data: Data, tmp_path: Path) -> None:
+    """0.25 h in steps of 600 s are 1200 s."""
+    told = [
+        make_course(data | {"duration_h": hours, "step_s": step_s}, tmp_path).census.lines()
+        for hours, step_s in ((0.25, 600.0), (8.0, 60.0), (1.5, 600.0))
+    ]
+    assert told == [["duration_h: 0.25; 0.3333 h are simulated: whole steps of 600 s"], [], []]
+
+
+def test_rules_that_name_no_object_are_told(data: Data, tmp_path: Path) -> None:
+    """Made-up objects are MADE 1 DEB and so on, numbered from 900000001."""
+    rules: list[Data] = [
+        {"numbers": [25631, 900_000_001], "priority": 9},
+        {"numbers": [25631], "priority": 9},
+        {"name_contains": "made 7 "},
+        {"name_contains": "jcsta", "priority": 0},
+        {},
+    ]
+    tasking = data["tasking"] | {"rules": rules}
+    course = make_course(data | {"tasking": tasking}, tmp_path)
+    words = "names no object of the catalogue"
+    assert course.census.lines() == [f"tasking.rules.{i} {words}" for i in (1, 3)]
+
+
 def test_elements_of_another_time_are_omitted(data: Data, tmp_path: Path) -> None:
     """By their days before the period's start or after its end (2019-04-20 06:00, two days)."""
     lines = []

@@ -85,6 +85,20 @@ def test_sizes_are_those_of_rules_and_tables(tmp_path: Path) -> None:
     assert not gathered(tmp_path, text, eclipse=False)[0].shaded.any()
 
 
+def test_sizes_that_are_of_no_object_are_told(tmp_path: Path) -> None:
+    text = "".join(lines_of(k, 110.0, n) for k, n in ((1, "A"), (2, "A DEB")))
+    table = tmp_path / "sizes.csv"
+    words = ("deb", "zzz", "A D", "R/B")
+    rules = [{"name_contains": word, "diameter_m": 0.5} for word in words]
+    table.write_text("norad_id,diameter_m\n99999,5\n3,5\n")
+    assert gathered(tmp_path, text, rules=rules, sizes=str(table))[1] == [
+        "populations.0.rules: no object's name contains 'zzz', 'R/B'",
+        "populations.0.sizes: none of its 2 numbers is of an object of the file",
+    ]
+    table.write_text("norad_id,diameter_m\n99999,5\n2,5\n")
+    assert gathered(tmp_path, text, rules=rules[:1], sizes=str(table))[1] == []
+
+
 @pytest.mark.parametrize("by", ["magnitudes", "intensities_m2_sr"])
 def test_a_light_curve_is_a_sphere(tmp_path: Path, by: str) -> None:
     """The body whose value at 70 degrees of phase is that of a sphere reflects as that one does."""
