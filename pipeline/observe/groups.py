@@ -53,10 +53,8 @@ def groups_of(asked: Scene, times: Times) -> tuple[list[Group], list[str]]:
     if not times.as_exposed or whole is not sensor:
         notes += oldest_remarks(whole.scene, first, last)
     if not times.as_exposed:
-        notes += two_body_remarks(whole.scene, first, last)
-        notes += [f"the observer: {told}" for told in sensor_remarks(whole.scene, first, last)]
-        whole, turned = _turned(asked, whole, first, last)
-        notes += turned
+        whole, told = _at_other_times(asked, whole, first, last)
+        notes += told
     if not as_drawn or whole is sensor:
         return [Group(whole, 0, as_drawn)], notes
     drawn, everyone = {t.name for t in sensor.scene.targets}, whole.scene.targets
@@ -106,6 +104,16 @@ def _whole(asked: Scene, sensor: ResolvedScene, first_s: float, last_s: float) -
     bare = sensor.scene.model_copy(update={"targets": own, "populations": asked.populations})
     scene = with_numbers(screened(bare, whole_sky(bare, first_s - spare, last_s + spare)))
     return replace(sensor, scene=scene)
+
+
+def _at_other_times(
+    asked: Scene, r: ResolvedScene, first_s: float, last_s: float
+) -> tuple[ResolvedScene, list[str]]:
+    """The scene as it is at other times than its own, and what is to be said of orbits then."""
+    notes = two_body_remarks(r.scene, first_s, last_s)
+    notes += [f"the observer: {told}" for told in sensor_remarks(r.scene, first_s, last_s)]
+    turned, told = _turned(asked, r, first_s, last_s)
+    return turned, notes + told
 
 
 def _turned(

@@ -60,7 +60,9 @@ def test_sensors_have_their_own_cameras(data: Data, tmp_path: Path) -> None:
     assert course.units.tolist() == [0, 0, 1]
 
 
-@pytest.mark.parametrize(("hours", "step_s", "steps"), [(1.0, 60.0, 60), (1.0, 500.0, 8)])
+@pytest.mark.parametrize(
+    ("hours", "step_s", "steps"), [(1.0, 60.0, 60), (1.0, 500.0, 8), (1.1, 60.0, 66)]
+)
 def test_steps_hold_all_of_the_period(
     data: Data, tmp_path: Path, hours: float, step_s: float, steps: int
 ) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -299,31 +299,33 @@ def with_members(scene: Scene, found: list[tuple[list[Target], Population]]) -> 
 
 def population_decisions(scene: Scene) -> list[Decision]:
     """How many objects of each population are drawn, and why the others are not."""
-    out = []
     dwells = "the dwell" if scene.dwells is None else "all dwells"
-    for p in scene.populations:
-        s = p.screened
-        if s is None:
-            continue
-        parts, own = [], s.read - s.elsewhere
-        if own:
-            parts.append(
-                f"{s.kept} of {own} element sets come within {s.half_angle_deg:.4g} deg of the "
-                f"boresight (the frame's corner and all that sends light into it) during the "
-                f"{s.dwell_s:g} s of {dwells}; for the others the screen proves that they do not"
-            )
-        if own and not s.kept:
-            parts.append("`nightglass find SCENE` lists those that can be seen, and where")
-        if s.superseded:
-            have = "set has" if s.superseded == 1 else "sets have"
-            parts.append(f"{s.superseded} {have} a younger one of the same object")
-        if s.elsewhere:
-            parts.append(_elsewhere(s.elsewhere, s.read))
-        parts += [f"{n} omitted: {_meaning(code)}" for code, n in s.failed]
-        if s.unreadable:
-            parts.append(f"{s.unreadable} omitted: not readable ({s.left_out[0]})")
-        out.append(Decision(f"populations.{p.name}", s.kept > 0, "; ".join(parts), 0.0, 0.0))
-    return out
+    found = [(p.name, p.screened) for p in scene.populations if p.screened is not None]
+    return [
+        Decision(f"populations.{name}", s.kept > 0, "; ".join(_told(s, dwells)), 0.0, 0.0)
+        for name, s in found
+    ]
+
+
+def _told(s: Screened, dwells: str) -> Iterator[str]:
+    """What the screen found of a population's element sets."""
+    own = s.read - s.elsewhere
+    if own:
+        yield (
+            f"{s.kept} of {own} element sets come within {s.half_angle_deg:.4g} deg of the "
+            f"boresight (the frame's corner and all that sends light into it) during the "
+            f"{s.dwell_s:g} s of {dwells}; for the others the screen proves that they do not"
+        )
+    if own and not s.kept:
+        yield "`nightglass find SCENE` lists those that can be seen, and where"
+    if s.superseded:
+        have = "set has" if s.superseded == 1 else "sets have"
+        yield f"{s.superseded} {have} a younger one of the same object"
+    if s.elsewhere:
+        yield _elsewhere(s.elsewhere, s.read)
+    yield from (f"{n} omitted: {_meaning(code)}" for code, n in s.failed)
+    if s.unreadable:
+        yield f"{s.unreadable} omitted: not readable ({s.left_out[0]})"
 
 
 def shared_remarks(scene: Scene) -> list[str]:
