@@ -105,7 +105,7 @@ def light_curves(
         raise BadInput("--points", points, f"2 to {MOST_POINTS}")
     own = {t.name for t in scene.targets}
     if scene.populations and not (names and own.issuperset(names)):
-        scene = screened(scene, whole_sky(scene, start_s, stop_s))
+        scene = screened(scene, whole_sky(scene, start_s, stop_s, 0.5 * (start_s + stop_s)))
     which = _which(scene, names)
     wavelength, irradiance, _, _ = solar_spectrum()
     scene = with_band_albedos(with_pole(scene), wavelength, irradiance, response)

@@ -48,7 +48,8 @@ def groups_of(asked: Scene, times: Times) -> tuple[list[Group], list[str]]:
     sensor, notes, drawable = _sensor_of(asked)
     own, as_drawn = len(asked.targets), drawable and times.as_exposed
     first, last = (float(v) for v in times.middle_s[[0, -1]])
-    whole = _whole(asked, sensor, first, last)
+    near_s = 0.0 if times.as_exposed else 0.5 * (first + last)
+    whole = _whole(asked, sensor, first, last, near_s)
     notes += _omitted(whole.scene)
     if not times.as_exposed or whole is not sensor:
         notes += oldest_remarks(whole.scene, first, last)
@@ -96,13 +97,16 @@ def _looking_up(scene: Scene) -> Scene:
     return scene.model_copy(update=update)
 
 
-def _whole(asked: Scene, sensor: ResolvedScene, first_s: float, last_s: float) -> ResolvedScene:
-    """The sensor with all members of populations among its targets, after the scene's own."""
+def _whole(
+    asked: Scene, sensor: ResolvedScene, first_s: float, last_s: float, near_s: float
+) -> ResolvedScene:
+    """The sensor with all members of populations among its targets, after the scene's own, each
+    by the elements that are nearest to a time."""
     if all(p.screened is not None for p in asked.populations):
         return sensor
     own, spare = sensor.scene.targets[: len(asked.targets)], longest_s(asked)
     bare = sensor.scene.model_copy(update={"targets": own, "populations": asked.populations})
-    scene = with_numbers(screened(bare, whole_sky(bare, first_s - spare, last_s + spare)))
+    scene = with_numbers(screened(bare, whole_sky(bare, first_s - spare, last_s + spare, near_s)))
     return replace(sensor, scene=scene)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from astropy.time import Time, TimeDelta
@@ -13,10 +15,12 @@ from pipeline.observe.observe import observe
 from pipeline.observe.times import times_of
 from pipeline.plan.targets.orbit_age import _two_body
 from pipeline.spec.load import parse_scene
-from tests.observe.conftest import night
+from tests.observe.conftest import BALL, night
+from tests.physics.positions.test_orbit_skyfield import tle, with_checksum
 
 GM, RADIUS_M, J2 = 3.986004418e14, 6378137.0, 1.0826267e-3
 DAY_S = 86400.0
+ASIDE = {"mode": "sidereal", "boresight_ra_deg": 180.0, "boresight_dec_deg": 70.0}
 
 
 def test_the_earth_is_turned_as_it_is_at_the_times_asked_for() -> None:
@@ -86,3 +90,22 @@ def test_old_orbits_are_told_at_the_times_asked_for() -> None:
     assert any(note.startswith("the observer: its own orbit: two-body") for note in notes)
     assert any(note.startswith("3 of the targets move as two bodies") for note in notes)
     assert not any("two-body motion" in note for note in observe(scene, [0.0, 10.0]).notes)
+
+
+def test_of_several_sets_the_one_nearest_to_the_times_counts(tmp_path: Path) -> None:
+    """Whatever the scene's epoch is, and whatever else the file holds."""
+    early = tle(7, 51.6, 10.0, 0.001, 20.0, 30.0, 15.2)
+    first, second = early[0].replace("19110.", "19140."), tle(7, 51.6, 20.0, 0.0, 0.0, 0.0, 15.0)[1]
+    late = (with_checksum(first), second)
+    (tmp_path / "both.tle").write_text("\n".join((*early, *late)) + "\n")
+    (tmp_path / "late.tle").write_text("\n".join(late) + "\n")
+    rows = {}
+    for name in ("both", "late"):
+        crowd = {"name": "crowd", "path": str(tmp_path / f"{name}.tle"), "body": BALL}
+        scene = parse_scene(night(targets=[], populations=[crowd], pointing=ASIDE))
+        rows[name] = [
+            observe(scene, times).table.select(["range_m", "ra_deg", "dec_deg"]).to_pylist()
+            for times in ([30.0 * DAY_S], None)
+        ]
+    assert rows["both"][0] == rows["late"][0]
+    assert rows["both"][1] != rows["late"][1]

@@ -43,6 +43,7 @@ class SearchView:
 
     half_angle_rad : the frame's corner and all beside the frame that may send light into it
     turns_rad_s : the boresight's largest rate in each dwell
+    near_s : when [s after the epoch]: of several sets of an object the nearest one counts
     """
 
     scene: Scene
@@ -51,6 +52,7 @@ class SearchView:
     dwells: tuple[DwellPlan, ...]
     half_angle_rad: float
     turns_rad_s: tuple[float, ...]
+    near_s: float = 0.0
 
     @property
     def length_s(self) -> float:
@@ -111,10 +113,10 @@ class WholeSky(SearchView):
         return sorted(set(range(len(satellites))) - set(codes)), codes
 
 
-def whole_sky(scene: Scene, start_s: float, stop_s: float) -> WholeSky:
-    """The look of a scene at all of the sky between two times [s after the epoch]."""
+def whole_sky(scene: Scene, start_s: float, stop_s: float, near_s: float) -> WholeSky:
+    """The look of a scene at all of the sky between two times; near_s : as of a SearchView."""
     span = start_s - BEFORE_S, stop_s + BEFORE_S
-    return WholeSky(scene, 0.0, parse_utc(scene.epoch), dwell_plans(scene), np.pi, (), span)
+    return WholeSky(scene, 0.0, parse_utc(scene.epoch), dwell_plans(scene), np.pi, (), near_s, span)
 
 
 def _turn_rad_s(scene: Scene, dwell: DwellPlan, dut1_s: float) -> float:
@@ -158,7 +160,7 @@ class Sieve:
         good = [one for _, one in rows]
         satellites = [one.satellite for one in good]
         days = np.array([(s.jdsatepoch, s.jdsatepochF) for s in satellites])
-        age = np.abs(elapsed_s(self.look.epoch, days[:, 0], days[:, 1]))
+        age = np.abs(elapsed_s(self.look.epoch, days[:, 0], days[:, 1]) - self.look.near_s)
         number = np.array([one.number for one in good], np.int64)
         inside, codes = self.look.screen(satellites)
         for i, code in codes.items():
@@ -218,7 +220,7 @@ class Sieve:
     ) -> tuple[list[Target], Population]:
         """The targets, and the population with what the screen found.
 
-        Of an object with several sets the one nearest to the scene's epoch counts, whether it comes
+        Of an object with several sets the one nearest to the look's time counts, whether it comes
         into the field or not. counts : which of `sets` do among those of all populations
         """
         nearest = nearest_sets(*self.sets)

@@ -330,7 +330,7 @@ def test_of_several_sets_the_nearest_in_time_counts(order: int, tle: Path) -> No
     """Whether it is of before the epoch or of after it, and in any order of the file."""
     day, fraction = parse_utc(EPOCH)
     look: Any = SimpleNamespace(
-        epoch=(day, fraction), half_angle_rad=0.1, length_s=85.0,
+        epoch=(day, fraction), near_s=0.0, half_angle_rad=0.1, length_s=85.0,
         screen=lambda satellites: (list(range(len(satellites))), {}),
     )  # fmt: skip
     sets = []
@@ -348,7 +348,7 @@ def test_sets_without_a_number_are_objects_of_their_own(tle: Path) -> None:
     """None of them outdates another, and each is called by its row, in batches or at once."""
     day, fraction = parse_utc(EPOCH)
     look: Any = SimpleNamespace(
-        epoch=(day, fraction), half_angle_rad=0.1, length_s=85.0,
+        epoch=(day, fraction), near_s=0.0, half_angle_rad=0.1, length_s=85.0,
         screen=lambda satellites: (list(range(len(satellites))), {}),
     )  # fmt: skip
     sets = [
@@ -435,7 +435,7 @@ def test_a_set_that_fails_outdates_none(tle: Path) -> None:
     """Of two sets of an object the younger one has decayed: the older one is drawn."""
     day, fraction = parse_utc(EPOCH)
     look: Any = SimpleNamespace(
-        epoch=(day, fraction), half_angle_rad=0.1, length_s=85.0,
+        epoch=(day, fraction), near_s=0.0, half_angle_rad=0.1, length_s=85.0,
         screen=lambda satellites: ([0], {1: 6}),
     )  # fmt: skip
     sets = [
@@ -467,7 +467,7 @@ def test_an_object_of_two_populations_is_drawn_once(lines: list[list[str]], tmp_
     )
     both = [{"name": name, "path": str(tmp_path / name), "body": BALL} for name in "ab"]
     crowd = scene(tmp_path / "a", populations=both)
-    found = screened(crowd, whole_sky(crowd, 0.0, 1.0))
+    found = screened(crowd, whole_sky(crowd, 0.0, 1.0, 0.0))
     numbers = [int(line1[2:7]) for _, line1, _ in lines[1:91]]
     assert {t.name for t in found.targets} == {
         f"{'b' if k >= 60 or (k >= 30 and k % 2) else 'a'}-{n}" for k, n in enumerate(numbers)
