@@ -36,7 +36,7 @@ from pipeline.plan.stars.brightest import brightest_target_e
 from pipeline.plan.stars.field_stars import FieldStars
 from pipeline.plan.targets.decisions import mesh_notices
 from pipeline.plan.targets.orbit_age import orbit_remarks, table_warnings
-from pipeline.plan.targets.populations import shared_remarks
+from pipeline.plan.targets.shared import shared_remarks
 from pipeline.plan.targets.umbra import umbra_remarks
 from pipeline.plan.timing import frame_times, integration_range_s
 from pipeline.resolve.files import has_air, read_files, with_numbers

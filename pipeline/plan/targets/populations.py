@@ -19,6 +19,7 @@ from pipeline.physics.vectors import separation
 from pipeline.plan.decision import Decision
 from pipeline.plan.pointing.air import air_of
 from pipeline.plan.pointing.geometry import camera_of, watch
+from pipeline.plan.targets.shared import shared_told
 from pipeline.plan.timing import DwellPlan, dwell_plans
 from pipeline.spec.scene import MOST_TARGETS, Scene, Target
 from pipeline.spec.targets.body import Body, SphereBody
@@ -324,22 +325,7 @@ def _told(s: Screened, dwells: str) -> Iterator[str]:
         have = "set has" if s.superseded == 1 else "sets have"
         yield f"{s.superseded} {have} a younger one of the same object"
     if s.elsewhere:
-        yield _elsewhere(s.elsewhere, s.read)
+        yield shared_told(s)
     yield from (f"{n} omitted: {_meaning(code)}" for code, n in s.failed)
     if s.unreadable:
         yield f"{s.unreadable} omitted: not readable ({s.left_out[0]})"
-
-
-def shared_remarks(scene: Scene) -> list[str]:
-    """How many objects of each population are left out, as another one has them."""
-    found = [(p.name, p.screened) for p in scene.populations if p.screened is not None]
-    return [
-        f"populations.{name}: {_elsewhere(s.elsewhere, s.read)}" for name, s in found if s.elsewhere
-    ]
-
-
-def _elsewhere(count: int, read: int) -> str:
-    return (
-        f"{count} of {read} element sets omitted: another population has the same object, with "
-        "elements nearer to the epoch, or as near and named before"
-    )

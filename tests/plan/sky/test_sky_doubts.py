@@ -475,7 +475,7 @@ def test_what_stands_before_the_earth_is_not_hidden_by_it() -> None:
     far: Any = SimpleNamespace(observer=None)
     place = np.tile([1e9, 0.0, 0.0], (3, 1))
     body = np.array([[3.8e8, 1e5, 0.0], [0.0, 3.8e8, 0.0], [-3.8e8, 1e5, 0.0]]) - place
-    hidden = lamps._hidden(far, place, body, np.zeros(3))
+    hidden = lamps.hidden_rad(far, place, body, np.zeros(3))
     assert (hidden > 0.0).tolist() == [False, False, True]
 
 
