@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
 from pipeline.inputs.earth_orientation import gather_turned, turn_off_rad
@@ -11,10 +15,12 @@ from pipeline.observe.times import Times
 from pipeline.physics.constants import ARCSEC_RAD, DAY_S, EARTH_EQUATORIAL_RADIUS_M
 from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.pointing.geometry import zenith_pointing
+from pipeline.plan.pointing.timescales import changing
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.responses import plan_responses
 from pipeline.plan.targets.orbit_age import oldest_remarks, sensor_remarks, two_body_remarks
 from pipeline.plan.targets.populations import whole_sky
+from pipeline.plan.targets.shared import screens_of
 from pipeline.plan.timing import longest_s
 from pipeline.resolve.files import read_files, with_numbers
 from pipeline.resolve.resolve import resolve
@@ -35,6 +41,11 @@ class Group:
     resolved: ResolvedScene
     first: int
     as_drawn: bool
+
+    @cached_property
+    def changing(self) -> NDArray[np.bool_]:
+        """Targets (T,) whose light a table or a turn changes."""
+        return changing(self.resolved.scene)
 
 
 def groups_of(asked: Scene, times: Times) -> tuple[list[Group], list[str]]:
@@ -145,9 +156,8 @@ def _turned(
 
 def _omitted(scene: Scene) -> list[str]:
     """What of populations cannot be observed."""
-    found = [(p.name, p.screened) for p in scene.populations if p.screened is not None]
     return [
         f"populations.{name}: {failed} of {s.read} element sets omitted: {s.left_out[0]}"
-        for name, s in found
+        for name, s in screens_of(scene)
         if (failed := s.unreadable + sum(count for _, count in s.failed))
     ]

@@ -27,7 +27,6 @@ from pipeline.plan.pointing.geometry import (
     light_nodes,
     plan_geometry,
 )
-from pipeline.plan.pointing.timescales import changing
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.timing import frame_times
 from pipeline.spec.scene import Scene
@@ -135,15 +134,32 @@ def _rows(
     group: Group, at: Times, part: slice, least_snr: float, centroid_seed: int | None
 ) -> pa.Table:
     """The rows of some of the times."""
-    every, which = np.arange(part.start, part.stop), changing(group.resolved.scene)
-    g = _geometry(group, at, every, FEWEST_NODES)
-    asked = np.full(len(every), FEWEST_NODES)
-    if which.any():
-        asked = light_nodes(group.resolved.scene, g, which)
     return pa.concat_tables(
-        _rows_of(group, at, every[asked == nodes], int(nodes), least_snr, centroid_seed)
-        for nodes in np.unique(asked)
+        _rows_of(group, *one, least_snr, centroid_seed)
+        for one in _geometries(group, at, np.arange(part.start, part.stop))
     )
+
+
+def _geometries(
+    group: Group, at: Times, every: NDArray[np.int64]
+) -> Iterator[tuple[NDArray[np.int64], Geometry, Geometry]]:
+    """Some of the times, their geometry, and that of targets beside the frame.
+
+    At the scene's exposures the drawing has as many nodes as the targets near the frame ask for:
+    of these the rows are as drawn, of all others as the nodes have it that their light asks for.
+    """
+    scene, changing = group.resolved.scene, group.changing
+    g, asked = _geometry(group, at, every, FEWEST_NODES), np.full(len(every), FEWEST_NODES)
+    if changing.any():
+        asked = light_nodes(scene, g, changing)
+    if (asked == FEWEST_NODES).all():
+        yield every, g, g
+        return
+    for nodes in np.unique(asked):
+        which = every[asked == nodes]
+        finer = _geometry(group, at, which, int(nodes))
+        as_it_is = nodes == FEWEST_NODES or not group.as_drawn
+        yield which, finer if as_it_is else _geometry(group, at, which, FEWEST_NODES), finer
 
 
 def _geometry(group: Group, at: Times, which: NDArray[np.int64], nodes: int) -> Geometry:
@@ -156,28 +172,21 @@ def _geometry(group: Group, at: Times, which: NDArray[np.int64], nodes: int) -> 
 
 def _rows_of(
     group: Group,
-    at: Times,
     which: NDArray[np.int64],
-    nodes: int,
+    g: Geometry,
+    finer: Geometry,
     least_snr: float,
     centroid_seed: int | None,
 ) -> pa.Table:
-    """The rows of some of the times, whose light asks for so many nodes.
-
-    At the scene's exposures the drawing has as many as the targets near the frame ask for: of
-    these the rows are as drawn, of all others as more nodes have it.
-    """
-    plan, frames = group.resolved, at.frame[which]
-    g = finer = _geometry(group, at, which, nodes)
-    if group.as_drawn and nodes > FEWEST_NODES:
-        g = _geometry(group, at, which, FEWEST_NODES)
+    """The rows of some of the times, as of `_geometries`."""
+    plan = group.resolved
     angles = angles_of(plan, g)
     columns, near, in_field = _truth(plan, g)
     if finer is not g:
         others = _truth(plan, finer)[0]
         columns = {name: np.where(near, own, others[name]) for name, own in columns.items()}
     _fill_others(plan, finer, angles, columns, ~near)
-    exposed_s = frame_times(plan.scene, frames)[1][:, None]
+    exposed_s = frame_times(plan.scene, g.frame)[1][:, None]
     exposed_s = np.where(exposed_s > 0.0, exposed_s, np.nan)  # bias frames have no rate
     columns |= angles.columns | {"electrons_per_s": columns["electrons"] / exposed_s}
     seen = seen_of(plan, g, angles, columns, in_field, least_snr)

@@ -19,7 +19,7 @@ from pipeline.physics.vectors import separation
 from pipeline.plan.decision import Decision
 from pipeline.plan.pointing.air import air_of
 from pipeline.plan.pointing.geometry import camera_of, watch
-from pipeline.plan.targets.shared import shared_told
+from pipeline.plan.targets.shared import screens_of, shared_told
 from pipeline.plan.timing import DwellPlan, dwell_plans
 from pipeline.spec.scene import MOST_TARGETS, Scene, Target
 from pipeline.spec.targets.body import Body, SphereBody
@@ -303,10 +303,9 @@ def with_members(scene: Scene, found: list[tuple[list[Target], Population]]) -> 
 def population_decisions(scene: Scene) -> list[Decision]:
     """How many objects of each population are drawn, and why the others are not."""
     dwells = "the dwell" if scene.dwells is None else "all dwells"
-    found = [(p.name, p.screened) for p in scene.populations if p.screened is not None]
     return [
         Decision(f"populations.{name}", s.kept > 0, "; ".join(_told(s, dwells)), 0.0, 0.0)
-        for name, s in found
+        for name, s in screens_of(scene)
     ]
 
 

@@ -1,4 +1,4 @@
-"""Objects that several populations hold: each is drawn once."""
+"""What was found of populations, and objects that several hold: each is drawn once."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ from pipeline.spec.scene import Scene
 from pipeline.spec.targets.population import Screened
 
 
+def screens_of(scene: Scene) -> list[tuple[str, Screened]]:
+    """Names of the populations that were looked through, and what was found."""
+    return [(p.name, p.screened) for p in scene.populations if p.screened is not None]
+
+
 def shared_remarks(scene: Scene) -> list[str]:
     """How many objects of each population are left out, as another one has them."""
-    found = [(p.name, p.screened) for p in scene.populations if p.screened is not None]
-    return [f"populations.{name}: {shared_told(s)}" for name, s in found if s.elsewhere]
+    return [f"populations.{name}: {shared_told(s)}" for name, s in screens_of(scene) if s.elsewhere]
 
 
 def shared_told(s: Screened) -> str:
