@@ -28,7 +28,7 @@ from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.drawing.wings import add_wings
 from pipeline.physics.motion.points import points_along
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, POINT, Box, Path, pieces
-from pipeline.physics.psf.response import band_of, stamp_at
+from pipeline.physics.psf.response import stamp_at
 from pipeline.plan.plan import Plan
 from pipeline.plan.response.own_paths import own_paths
 from pipeline.plan.response.streaks import POINTS, Streak, densest_share, light_near
@@ -134,7 +134,7 @@ def draw_along(
         return
     paths, zones = paths or streaks(plan, g), zone_of(plan, stars.x_px, stars.y_px)
     classes, aberration = class_of(plan, stars.light_e), plan.scene.star_effects["aberration"]
-    along = plan.responses.streaks
+    along, band = plan.responses.streaks, plan.responses.band
     for zone in np.unique(zones):
         mine = np.flatnonzero(zones == zone)
         x, y, light = (v[mine] for v in (stars.x_px, stars.y_px, stars.light_e))
@@ -146,15 +146,24 @@ def draw_along(
         for i, path in enumerate(own):
             place = float(x[i]), float(y[i]), float(light[i])
             k, reach_px = int(classes[mine[i]]), plan.responses.fades_px
-            if not _draw_points(plan, image, tile, k, path, *place):
+            if not _draw_points(plan, image, tile, k, path, *place, band):
                 _draw_path(plan, image, tile, k, path, *place, reach_px)
 
 
 def _draw_points(
-    plan: Plan, image: Array, tile: Tile, k: int, path: Path, x: float, y: float, light_e: float
+    plan: Plan,
+    image: Array,
+    tile: Tile,
+    k: int,
+    path: Path,
+    x: float,
+    y: float,
+    light_e: float,
+    band: float,
 ) -> bool:
     """A star of class k as points along a path of its own (adds to the image).
 
+    band : of all responses, so that any table serves the points
     False where the class has no table of a star at rest, or this star is too bright for it.
     """
     core = None if k == len(plan.responses.classes) else plan.responses.classes[k]
@@ -163,7 +172,7 @@ def _draw_points(
     near_e, along_e = light_e * np.array(light_near(path, core.radius_px))
     if near_e * core.point_error > POINTS * plan.allowed_e(along_e):
         return False
-    at_x, at_y, share = points_along(path, max(map(band_of, plan.responses.blurs)))
+    at_x, at_y, share = points_along(path, band)
     near = _reaches(tile, core.radius_px, POINT, at_x + x, at_y + y)
     places = at_x[near] + x, at_y[near] + y, light_e * share[near]
     _draw_piece(plan, image, tile, k, core.point_phases, POINT, *places, cubic=True)

@@ -166,8 +166,9 @@ def allowed(watcher: Watcher, watch: WatchMoments, s: Sights) -> NDArray[np.bool
         good &= s.elevation <= r.highest_elevation_deg * DEG_RAD
     observer = watch.observer_m[k]
     for body, least in ((watch.sun_m, watch.sun_least[k]), (watch.moon_m, watch.moon_least[k])):
-        cosine = np.sum(unit(body[k] - observer) * s.geometric, axis=-1)
-        good &= (cosine <= np.cos(least)) | (least <= 0.0)
+        if (least > 0.0).any():
+            cosine = np.sum(unit(body[k] - observer) * s.geometric, axis=-1)
+            good &= (cosine <= np.cos(least)) | (least <= 0.0)
     if r.galactic_exclusion_deg > 0.0:
         sine = np.abs(np.sum(watch.pole[k] * s.geometric, axis=-1))
         good &= sine >= np.sin(r.galactic_exclusion_deg * DEG_RAD)

@@ -21,7 +21,7 @@ from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.psf.product import is_product
 from pipeline.physics.psf.pupil import Blur, EllipticalGaussian, Gaussian
-from pipeline.physics.psf.response import compact_core, oversampling_for
+from pipeline.physics.psf.response import band_of, compact_core, oversampling_for
 from pipeline.physics.psf.sampled import READ_ERROR, Sampled
 from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.facts import Facts
@@ -124,6 +124,11 @@ class ResponsePlan:
     def blurs(self) -> tuple[Blur, ...]:
         """Every response."""
         return (self.blur,) if self.field is None else self.field.blurs
+
+    @property
+    def band(self) -> float:
+        """Highest frequency of any core [cycles/px]."""
+        return max(map(band_of, self.blurs))
 
     @property
     def fades_px(self) -> float:

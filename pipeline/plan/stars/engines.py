@@ -21,7 +21,7 @@ from pipeline.physics.motion.points import points_per_px
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, POINT, Path, path_through
 from pipeline.physics.psf.product import is_product, product_table
 from pipeline.physics.psf.pupil import Blur
-from pipeline.physics.psf.response import band_of, oversampling_for
+from pipeline.physics.psf.response import oversampling_for
 from pipeline.plan.pointing.star_paths import excursions_px
 from pipeline.plan.response.responses import (
     FIELD_BYTES,
@@ -121,11 +121,11 @@ def _choose(
     along_s = _mean_s(_Costs.along, ways, bright)
     tables = plan.responses.products or tables_s <= SURE * singly_s
     phases = core.phases * tables
-    few = max(ways, key=lambda way: way.point_phases)
-    points = few.point_phases * (points_s <= along_s)
+    finest = max(ways, key=lambda way: way.point_phases)
+    points = finest.point_phases * (points_s <= along_s)
     usual_s = 0.0 if crowds else tables_s if tables else singly_s
     said = _said(core, max(usual), max(bright), phases, points)
-    error = few.point_error if points else 0.0
+    error = finest.point_error if points else 0.0
     made = replace(core, phases=phases, point_phases=points, point_error=error)
     return made, said, min(points_s, along_s) + usual_s
 
@@ -202,7 +202,7 @@ class _Costs:
         self._each = min(4, len(r.blurs))  # responses that one star is drawn by
         self._segments = _own_segments(plan, streak, bright_e)
         self._per_px2 = 0.5 * max(oversampling_for(b) for b in r.blurs) ** 2
-        self._band = max(band_of(b) for b in r.blurs)
+        self._band = r.band
         self._lit = min(1.0, 0.5 * math.pi * self._band**2 / self._per_px2)
         self._path = max((p.path for p in streak.pieces), key=lambda p: p.length_px)
         self._sweep = streak.path

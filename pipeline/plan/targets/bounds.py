@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.arrays import Geometry
 from pipeline.physics.constants import (
     DAY_S,
+    DEG_RAD,
     EARTH_EQUATORIAL_RADIUS_M,
     EARTH_GM_M3_S2,
     SPEED_OF_LIGHT_M_S,
@@ -24,7 +25,7 @@ from pipeline.plan.decision import Decision
 from pipeline.plan.timing import end_s
 from pipeline.spec.scene import Scene, Target
 from pipeline.spec.targets.mesh import LambertSurface, MeshBody
-from pipeline.spec.targets.orbit import TableOrbit
+from pipeline.spec.targets.orbit import KeplerianOrbit, StateOrbit, TableOrbit
 
 J2 = 1.0826267e-3
 SMALLER = 1.05  # harmonics beyond the flattening, of its acceleration: 1.4e-2 of it, and sunlight
@@ -102,15 +103,28 @@ def longest_from_elements_s(
 
 def _lowest_m(orbit: Any, seen_m: float) -> float:
     """Distance of perigee [m]; that which is seen where the orbit does not say."""
-    if orbit.kind == "keplerian":
-        if orbit.perigee_radius_m is not None:
-            return float(orbit.perigee_radius_m)
-        return float(orbit.semi_major_axis_m * (1.0 - orbit.eccentricity))
+    low = ellipse_of(orbit)[0]
+    if isinstance(orbit, KeplerianOrbit):
+        return low
+    place = np.array(orbit.position_m, float)
+    return float(min(low, np.sqrt(place @ place), seen_m))
+
+
+def ellipse_of(orbit: StateOrbit | KeplerianOrbit) -> tuple[float, float, float]:
+    """Distance of perigee [m], eccentricity, and cosine of the inclination."""
+    if isinstance(orbit, KeplerianOrbit):
+        e, perigee = orbit.eccentricity, orbit.perigee_radius_m
+        if perigee is None:
+            assert orbit.semi_major_axis_m is not None
+            perigee = orbit.semi_major_axis_m * (1.0 - e)
+        return float(perigee), e, float(np.cos(orbit.inclination_deg * DEG_RAD))
     place, speed = (np.array(v, float) for v in (orbit.position_m, orbit.velocity_m_s))
-    r, momentum = np.sqrt(place @ place), np.cross(place, speed)
-    pull = np.cross(speed, momentum) / EARTH_GM_M3_S2 - place / r
-    low = (momentum @ momentum) / EARTH_GM_M3_S2 / (1.0 + np.sqrt(pull @ pull))
-    return float(min(low, r, seen_m))
+    momentum = np.cross(place, speed)
+    squared = float(momentum @ momentum)
+    pull = np.cross(speed, momentum) / EARTH_GM_M3_S2 - place / np.sqrt(place @ place)
+    e = float(np.sqrt(pull @ pull))
+    tilt = float(momentum[2]) / max(math.sqrt(squared), 1e-9)
+    return squared / EARTH_GM_M3_S2 / (1.0 + e), e, tilt
 
 
 def table_error_m(o: TableOrbit) -> tuple[int, float, bool]:

@@ -21,6 +21,7 @@ from pipeline.physics.positions.times import parse_utc
 from pipeline.plan.bodies.orbits import elements_epoch
 from pipeline.plan.targets.bounds import (
     J2,
+    ellipse_of,
     geocentric_m,
     longest_from_elements_s,
     table_error_m,
@@ -221,13 +222,12 @@ def _unturned(
     where they are worth less than AT_EPOCH_KM."""
     if not isinstance(orbit, StateOrbit | KeplerianOrbit):
         return None
-    parameter, ecc, cosine = _ellipse(orbit)
+    perigee, ecc, cosine = ellipse_of(orbit)
     if not ecc < 1.0:
         return None
-    axis, time_s = (
-        parameter / (1.0 - ecc**2),
-        longest_from_elements_s(scene, orbit, first_s, last_s),
-    )
+    parameter = perigee * (1.0 + ecc)
+    axis = perigee / (1.0 - ecc)
+    time_s = longest_from_elements_s(scene, orbit, first_s, last_s)
     motion = float(np.sqrt(EARTH_GM_M3_S2 / axis**3))
     if motion * time_s < 2.0 * np.pi:
         return None
@@ -245,21 +245,6 @@ def _unturned(
         f"its elements turns the node by {node / DEG_RAD:.3g} deg, up to {sideways_m / 1e3:.3g} km,"
         f" and moves it along by about {along_m / 1e3:.3g} km"
     )
-
-
-def _ellipse(orbit: StateOrbit | KeplerianOrbit) -> tuple[float, float, float]:
-    """Parameter [m], eccentricity, and cosine of the inclination."""
-    if isinstance(orbit, KeplerianOrbit):
-        e, perigee = orbit.eccentricity, orbit.perigee_radius_m
-        if perigee is None:
-            assert orbit.semi_major_axis_m is not None
-            perigee = orbit.semi_major_axis_m * (1.0 - e)
-        return perigee * (1.0 + e), e, float(np.cos(orbit.inclination_deg * DEG_RAD))
-    place, speed = np.array(orbit.position_m, float), np.array(orbit.velocity_m_s, float)
-    momentum = np.cross(place, speed)
-    of = float(np.sqrt(momentum @ momentum))
-    pull = np.cross(speed, momentum) / EARTH_GM_M3_S2 - place / np.sqrt(place @ place)
-    return of**2 / EARTH_GM_M3_S2, float(np.sqrt(pull @ pull)), float(momentum[2]) / max(of, 1e-9)
 
 
 def _far(scene: Scene, orbit: Orbit, geocentric_m: float) -> tuple[float, str] | None:
