@@ -13,9 +13,10 @@ from typing import Any, Protocol
 import httpx
 
 from catalog_tools.documents import JsonObject
+from catalog_tools.storage.durable import file_digest
 from pipeline.errors import NOT_NOW, BadInput, Damaged, Incomplete
 from pipeline.store import layout
-from pipeline.store.product import check, content_digest, file_digest
+from pipeline.store.product import check, content_digest
 from service.answers import problem_of
 
 PART = ".part"

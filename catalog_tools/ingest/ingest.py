@@ -20,6 +20,7 @@ from ..fetch.layout import RELEASES
 from ..forms import Form, load_form
 from ..partition import ROWS_PER_LEAF
 from ..readers import kind_of, read_tables, told_form
+from ..storage.durable import file_digest
 from .build import About, IngestReport, Progress, build, silent
 from .memory import DEFAULT_BYTES, Budget
 
@@ -256,8 +257,7 @@ def _refuse_twins(files: Sequence[FileSource]) -> None:
     for group in by_size.values():
         seen: dict[str, str] = {}
         for file in group if len(group) > 1 else []:
-            with Path(file.path).open("rb") as stream:
-                digest = hashlib.file_digest(stream, "sha256").hexdigest()
+            digest = file_digest(Path(file.path))
             if digest in seen:
                 allowed = f"each file once ({seen[digest]} and {file.path} have the same content)"
                 raise BadInput("source", "a file given twice", allowed)

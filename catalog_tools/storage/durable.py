@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import os
 from collections.abc import Iterator
@@ -64,6 +65,12 @@ def full_disk_told(store: Path | str, remedy: str) -> Iterator[None]:
             there = Path(error.filename).absolute().is_relative_to(Path(store).absolute())
             where = where if there else error.filename
         raise DiskFull(where, error.errno, remedy) from error
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal."""
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
 def sync(path: Path) -> None:

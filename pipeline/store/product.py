@@ -15,7 +15,7 @@ from typing import Any
 from uuid import uuid4
 
 from catalog_tools.documents import JsonObject
-from catalog_tools.storage.durable import sync, sync_all
+from catalog_tools.storage.durable import file_digest, sync, sync_all
 from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import tile_shape
@@ -437,9 +437,3 @@ def has_marker(name: str) -> bool:
     """Whether a file of a product is a chunk of a layer, which its tile's marker vouches for."""
     parts = name.split("/")  # cube.zarr / layer / c / frame / row / column
     return len(parts) == 6 and parts[0] == layout.CUBE and parts[1] in layout.LONG_NAMES
-
-
-def file_digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open("rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject, JsonValue
-from catalog_tools.storage.durable import whole_file, write_atomically
+from catalog_tools.storage.durable import file_digest, whole_file, write_atomically
 from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.spec.sweep import Sweep
 from pipeline.sweep.design import Design
@@ -259,9 +259,5 @@ def is_complete(out: Path, table: str = TABLE) -> bool:
 
 def seal(out: Path, names: tuple[str, ...] = (TABLE, SWEEP, REPORT, PAGE, FIGURE)) -> None:
     """Write _COMPLETE, last of all, with the digests of the files."""
-    files = {}
-    for name in names:
-        if (out / name).is_file():
-            with (out / name).open("rb") as handle:
-                files[name] = hashlib.file_digest(handle, "sha256").hexdigest()
+    files = {name: file_digest(out / name) for name in names if (out / name).is_file()}
     write_atomically(out / COMPLETE, json.dumps({"format": FORMAT, "files": files}, indent=2))

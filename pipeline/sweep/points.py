@@ -13,13 +13,14 @@ import numpy as np
 
 from catalog_tools.catalogue import open_catalogue
 from catalog_tools.documents import JsonObject
+from catalog_tools.storage.durable import file_digest
 from pipeline.errors import BadInput
 from pipeline.inputs.sensor.images import read_image
 from pipeline.spec.dotted import NoFieldError, set_dotted
 from pipeline.spec.load import InvalidScene, parse_scene, path_holders, place_paths
 from pipeline.spec.scene import Scene
 from pipeline.spec.sweep import Sweep
-from pipeline.store.product import CATALOGUES, file_digest, named_files
+from pipeline.store.product import CATALOGUES, named_files
 from pipeline.sweep.dependence import AFTER_LIGHT, FLOOR, SKY_FLOOR
 from pipeline.sweep.design import Design
 from pipeline.sweep.stages import Base, Stages, is_plain, without_noise

@@ -31,8 +31,8 @@ from sqlalchemy.exc import OperationalError
 from typer.testing import CliRunner
 
 from catalog_tools.catalogue import MANIFEST_NAME
+from catalog_tools.storage.durable import file_digest
 from pipeline.errors import BadInput, Damaged
-from pipeline.store.product import file_digest
 from service import app as app_module
 from service import fetching, main, problems
 from service.accounts import oidc

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import json
 import re
 from collections.abc import Iterable, Iterator
@@ -59,12 +58,6 @@ def element_sets(path: Path, field: str) -> Iterator[list[ElementSet]]:
         yield batch
     if not some:
         raise BadInput(field, path.name, allowed)
-
-
-def file_digest(path: Path) -> str:
-    """sha256 of a file."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _kind(path: Path, field: str) -> str:

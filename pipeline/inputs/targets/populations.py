@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.inputs.targets.population_files import element_sets, file_digest, read_sizes
+from catalog_tools.storage.durable import file_digest
+from pipeline.inputs.targets.population_files import element_sets, read_sizes
 from pipeline.plan.targets.populations import (
     SearchView,
     Sieve,
