@@ -234,7 +234,7 @@ ASKED = {
     "earth_orientation": 6,
     "ephemerides": 28,
     "omm": 10,
-    "populations": 17,
+    "populations": 16,
     "meshes": 23,
     "surfaces": 7,
     "pointing": 20,

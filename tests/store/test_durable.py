@@ -13,7 +13,7 @@ import pytest
 
 from catalog_tools.fetch.ledger import FileLedger, write_whole
 from catalog_tools.ingest.ingest import ingest
-from catalog_tools.storage.durable import whole_file, write_atomically
+from catalog_tools.storage.durable import file_digest, whole_file, write_atomically
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.markers import read_marker
@@ -167,3 +167,10 @@ def test_a_catalogue_is_on_disk_before_it_has_its_name(tmp_path, disk):
     assert {"counts.npy", "rejects.arrow", "0000.rows"} <= set(before)
     leaf = next(t for t, _, target, _ in disk.named if target.match("progress/leaf-*.json"))
     assert any(t < leaf and p.suffix == ".parquet" for t, p, _ in disk.synced)
+
+
+def test_a_files_digest_is_the_published_one(tmp_path):
+    """FIPS 180-4's example."""
+    (tmp_path / "a").write_text("abc")
+    known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert file_digest(tmp_path / "a") == known
