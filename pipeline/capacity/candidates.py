@@ -22,7 +22,7 @@ from pipeline.physics.vectors import unit
 from pipeline.spec.study import CuedTasking
 from pipeline.survey.elements import Elements
 from pipeline.survey.prune import never_seen
-from pipeline.survey.sights import Sights, allowed, sights_of
+from pipeline.survey.sights import Sights, sights_of
 from pipeline.survey.watch import MOST_LIFT_RAD, Watcher, WatchMoments
 
 SCHEMA = pa.schema(
@@ -112,7 +112,7 @@ def _of_sensor(
         watcher, watch, k, who, place[i, k], speed[i, k], elements.reflecting_m2[who],
         elements.shaded[who],
     )  # fmt: skip
-    s = s.take(allowed(watcher, watch, s) & (s.snr >= course.least_snr))
+    s = s.take(s.snr >= course.least_snr)
     return _table(course, sensor, watch, s, _frames(watcher, s), np.full(len(s), -1))
 
 

@@ -33,14 +33,15 @@ from pipeline.survey.elements import (
     synthetic_elements,
 )
 from pipeline.survey.prune import itself
-from pipeline.survey.sights import Sights, allowed
+from pipeline.survey.sights import allowed
 from pipeline.survey.watch import Watcher, WatchMoments, make_watcher
 
 STEPS, BATCH = 360, 1024  # of a window; objects of a task
 MOST_CPU_S = 24 * 3600.0
 STATE_CPU_S, PAIR_CPU_S, TASK_CPU_S = 0.8e-6, 0.05e-6, 0.05  # of this machine, with room
 SKY_CPU_S = 0.03  # of a table of the sky
-EDITION = 5  # of the numbers: one begun by another edition is not resumed
+STRAY_CPU_S, STRAY_PAIR_CPU_S = 1.5e-3, 4e-6  # of stray light: a step of a batch, and of an object
+EDITION = 6  # of the numbers: one begun by another edition is not resumed
 CAMERA_KEYS = ("sensor", "exposure", "background")
 LOOKS, LOOK_STEPS = 500, 200  # directions and moments at which a field of regard is tried
 
@@ -109,8 +110,10 @@ class StudyCourse:
         cpu_s = states * (STATE_CPU_S + len(self.watchers) * PAIR_CPU_S)
         tasks = self.windows * self.batches
         rows = min(len(self.elements), BATCH) * STEPS
-        skies = (w.sky for w in self.watchers if w.sky is not None)
+        skies = [w.sky for w in self.watchers if w.sky is not None]
         cpu_s += sum(SKY_CPU_S * self.hours * 3600.0 / sky.step_s for sky in skies)
+        stray_s = self.steps * self.batches * STRAY_CPU_S + states * STRAY_PAIR_CPU_S
+        cpu_s += stray_s * sum(sky.stray is not None for sky in skies)
         return {
             "objects": len(self.elements),
             "sensors": len(self.units),
@@ -251,10 +254,9 @@ def _idle(watcher: Watcher, length_s: float) -> BadInput | None:
     rng = np.random.default_rng(0)
     u = from_angles(rng.uniform(0, 2 * np.pi, LOOKS), np.arcsin(rng.uniform(-1, 1, LOOKS)))
     k = np.repeat(np.flatnonzero(watch.works), LOOKS)
-    u, one = np.tile(u, (len(k) // LOOKS, 1)), np.ones(len(k))
+    u = np.tile(u, (len(k) // LOOKS, 1))
     height = np.arcsin(np.clip(np.sum(u * watch.up[k], axis=-1), -1.0, 1.0))
-    s = Sights(k, k, u, u, one, height, *[one] * 8)
-    if not allowed(watcher, watch, s).any():
+    if not allowed(watcher, watch, k, u, height).any():
         told = "exclusions that leave no direction at any time"
         raise BadInput(field, told, "smaller angles, or other elevations")
     return None

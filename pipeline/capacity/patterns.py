@@ -19,7 +19,7 @@ from pipeline.plan.pointing.site import axes_of
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.study import SearchPattern
 from pipeline.survey.elements import Elements
-from pipeline.survey.sights import Sights, allowed, sights_of
+from pipeline.survey.sights import Sights, sights_of
 from pipeline.survey.watch import Watcher, WatchMoments
 
 Array = NDArray[np.float64]
@@ -211,5 +211,4 @@ def pattern_sights(
             watcher, watch, rows[:, 1], who, at[:, :3], at[:, 3:], elements.reflecting_m2[who],
             elements.shaded[who],
         )  # fmt: skip
-        good = allowed(watcher, watch, s)
-        yield watch, s.take(good), rows[good, 2], np.full(int(good.sum()), unit_)
+        yield watch, s, rows[s.row, 2], np.full(len(s), unit_)

@@ -14,7 +14,7 @@ from pipeline.physics.positions.regard import may_be_seen
 from pipeline.physics.vectors import unit
 from pipeline.survey.elements import Elements
 from pipeline.survey.prune import never_seen
-from pipeline.survey.sights import Sights, allowed, sights_of
+from pipeline.survey.sights import Sights, sights_of
 from pipeline.survey.watch import MOST_LIFT_RAD, Watcher, WatchMoments
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ class Search:
             self.watcher, w, moment, who, place[seen], speed[seen], elements.reflecting_m2[who],
             elements.shaded[who],
         )  # fmt: skip
-        return s.take(allowed(self.watcher, w, s) & (s.snr >= self.least_snr))
+        return s.take(s.snr >= self.least_snr)
 
 
 _COLUMNS = tuple(Sights.__dataclass_fields__)
@@ -107,7 +107,7 @@ _COLUMNS = tuple(Sights.__dataclass_fields__)
 
 def _none() -> Sights:
     index, one, three = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 3))
-    return Sights(index, index, three, three, *[one] * 10)
+    return Sights(index, index, index, three, three, *[one] * 10)
 
 
 def make_search(watcher: Watcher, offsets_s: Array, least_snr: float) -> Search:

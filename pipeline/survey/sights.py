@@ -32,13 +32,14 @@ Index = NDArray[np.int64]
 class Sights:
     """Rows of what is seen, (r,) and (r, 3) each.
 
-    moment, object : indices; geometric, observed : directions in TEME axes, without aberration and
-    as the camera sees it; range_m : from emission; elevation : observed [rad] (of a satellite:
-    above its horizontal plane); rate : against the stars [rad/s]; phase [rad], sunlit; light : of
-    that of the Sun at 1 au, above the air; light_e : electrons of an exposure; streak_px; snr : of
-    a frame
+    row : which of those asked for; moment, object : indices; geometric, observed : directions in
+    TEME axes, without aberration and as the camera sees it; range_m : from emission; elevation :
+    observed [rad] (of a satellite: above its horizontal plane); rate : against the stars [rad/s];
+    phase [rad], sunlit; light : of that of the Sun at 1 au, above the air; light_e : electrons of
+    an exposure; streak_px; snr : of a frame
     """
 
+    row: Index
     moment: Index
     object: Index
     geometric: Array
@@ -82,16 +83,22 @@ def sights_of(
     reflecting_m2: Array,
     shaded: NDArray[np.bool_],
 ) -> Sights:
-    """Sights of objects at places (r, 3) [m] with velocities (r, 3) [m/s], TEME, at moments (r,).
+    """Sights of objects at places (r, 3) [m] with velocities (r, 3) [m/s], TEME, at moments (r,):
+    of those that may be looked at.
 
     The light path is solved with the velocity at reception (0.5 a t^2: 2 mm off at GEO); aberration
     is the observer's about the Earth's centre: the annual one is shared with the stars.
     reflecting_m2, shaded : (r,) of the objects (`Elements`)
     """
-    observer, motion = watch.observer_m[moment], watch.motion_m_s[moment]
-    emitted, path, range_m = _light_path(place_m, speed_m_s, observer)
+    emitted, path, range_m = _light_path(place_m, speed_m_s, watch.observer_m[moment])
     geometric = path / range_m[:, None]
     observed, elevation = _observed(watcher, watch, moment, geometric)
+    row = np.flatnonzero(allowed(watcher, watch, moment, geometric, elevation))
+    moment, object_, shaded = moment[row], object_[row], shaded[row]
+    emitted, speed_m_s, reflecting_m2 = emitted[row], speed_m_s[row], reflecting_m2[row]
+    geometric, range_m = geometric[row], range_m[row]
+    observed, elevation = observed[row], elevation[row]
+    observer, motion = watch.observer_m[moment], watch.motion_m_s[moment]
     sun = watch.sun_m[moment]
     phase = phase_angle(emitted, sun, observer)
     sunlit = np.where(shaded, sunlit_fraction(emitted, sun), 1.0)
@@ -106,7 +113,7 @@ def sights_of(
     sky_e_s = watcher.sky_e_s(watch, moment, observed)
     snr = watcher.snr(light_e, streak, sky_e_s)
     return Sights(
-        moment, object_, geometric, observed, range_m, elevation, rate, phase, sunlit, light,
+        row, moment, object_, geometric, observed, range_m, elevation, rate, phase, sunlit, light,
         light_e, streak, sky_e_s, snr,
     )  # fmt: skip
 
@@ -158,18 +165,21 @@ def _led(watcher: Watcher, watch: WatchMoments, moment: Index, direction: Array)
     return np.cross(turn, direction)
 
 
-def allowed(watcher: Watcher, watch: WatchMoments, s: Sights) -> NDArray[np.bool_]:
-    """Which rows (r,) the field of regard allows, and the camera: elevation, Sun, Moon, Galaxy."""
-    r, k = watcher.regard, s.moment
-    good = watch.works[k] & (s.elevation >= watch.lowest[k])
+def allowed(
+    watcher: Watcher, watch: WatchMoments, k: Index, geometric: Array, elevation: Array
+) -> NDArray[np.bool_]:
+    """Which directions (r, 3) the field of regard allows at moments k (r,), and the camera:
+    elevation, Sun, Moon, Galaxy."""
+    r = watcher.regard
+    good = watch.works[k] & (elevation >= watch.lowest[k])
     if isinstance(watcher.observer, GroundObserver):
-        good &= s.elevation <= r.highest_elevation_deg * DEG_RAD
+        good &= elevation <= r.highest_elevation_deg * DEG_RAD
     observer = watch.observer_m[k]
     for body, least in ((watch.sun_m, watch.sun_least[k]), (watch.moon_m, watch.moon_least[k])):
         if (least > 0.0).any():
-            cosine = np.sum(unit(body[k] - observer) * s.geometric, axis=-1)
+            cosine = np.sum(unit(body[k] - observer) * geometric, axis=-1)
             good &= (cosine <= np.cos(least)) | (least <= 0.0)
     if r.galactic_exclusion_deg > 0.0:
-        sine = np.abs(np.sum(watch.pole[k] * s.geometric, axis=-1))
+        sine = np.abs(np.sum(watch.pole[k] * geometric, axis=-1))
         good &= sine >= np.sin(r.galactic_exclusion_deg * DEG_RAD)
     return good

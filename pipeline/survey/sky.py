@@ -19,10 +19,12 @@ from pipeline.plan.pointing.geometry import geometry_anywhere
 from pipeline.plan.pointing.site import axes_of
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.sky.light import ALL_G_MAG, LightOfSky, background_of, nearest_known_rad
+from pipeline.plan.sky.stray_light import check_all_round
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
+    from pipeline.spec.sky.stray_light import StrayLight
     from pipeline.survey.watch import WatchMoments
 
 Array = NDArray[np.float64]
@@ -46,19 +48,23 @@ class SkyBehind:
     axes) and linear between, in its logarithm: to 1 % in the night and 4 % in twilight, 12 degrees
     or more above the horizon and from the Moon, and to 5 % from orbit (tests).
 
-    light : what the tables are made from; pixel_m2_sr : of a pixel in the middle; every_e_s : what
-    each pixel has of its own [e-/s], as given and of stray light at the epoch
+    Stray light is worked out for each line of sight: near the Earth it changes faster than that.
+    light : what the tables are made from; pixel_m2_sr : of a pixel in the middle
     """
 
     light: LightOfSky
     pixel_m2_sr: float
-    every_e_s: float
 
     @property
     def site(self) -> GroundObserver | None:
         """Where it stands; None in orbit."""
         o = self.light.scene.observer
         return o if isinstance(o, GroundObserver) else None
+
+    @property
+    def stray(self) -> StrayLight | None:
+        """The stray light that it asks for."""
+        return background_of(self.light.scene).stray_light
 
     @property
     def step_s(self) -> float:
@@ -92,7 +98,24 @@ class SkyBehind:
             return (1.0 - u) * low + u * high
 
         w = at - first
-        return np.exp((1.0 - w) * value(before) + w * value(after))
+        e_s = np.exp((1.0 - w) * value(before) + w * value(after))
+        return e_s + self._stray_e_s(watch, moment, observed)
+
+    def _stray_e_s(self, watch: WatchMoments, moment: Index, observed: Array) -> Array:
+        """Stray light (r,) [e-/s and pixel]."""
+        light, out = self.light, np.zeros(len(moment))
+        if self.stray is None:
+            return out
+        order = np.argsort(moment, kind="stable")
+        numbers, first = np.unique(moment[order], return_index=True)
+        frames, late_s = np.zeros(len(numbers), np.int64), watch.offset_s[numbers]
+        g = geometry_anywhere(light.scene, frames, light.dut1_s, late_s)
+        for f, rows in enumerate(np.split(order, first[1:])):
+            seen = observed[rows] @ watch.to_gcrs[numbers[f]].T
+            u = light.natural(g, f, g.middle, seen)
+            parts = light.scattered(self.stray, g, f, g.middle, u, checked=False)
+            out[rows] = np.sum(list(parts.values()), axis=0)
+        return out
 
     def _table(self, watch: WatchMoments, number: int) -> Array:
         """The table of a number; a satellite's within the watch, beyond which its orbit may end."""
@@ -124,7 +147,8 @@ class SkyBehind:
             known = apart > nearest_known_rad(request)
         parts = light.towards(g, 0, g.middle, observed[known])
         e_s = np.full(len(observed), np.nan)
-        e_s[known] = np.sum(list(parts.values()), axis=0) * self.pixel_m2_sr + self.every_e_s
+        e_s[known] = np.sum(list(parts.values()), axis=0) * self.pixel_m2_sr
+        e_s[known] += light.inputs.uniform_e_s or 0.0
         e_s[~known] = e_s[known].max()
         return np.log(np.maximum(e_s, LEAST_E_S)).reshape(azimuth.shape)
 
@@ -142,11 +166,11 @@ def sky_behind(scene: Scene, resolved: ResolvedScene) -> SkyBehind | None:
     colour = gather_band_light(scene, *band).colour
     inputs = gather_sky(scene, *band, (), colour, False, resolved.extinction)
     camera = resolved.camera
+    if inputs.stray is not None:
+        check_all_round(inputs.stray.pst)
     light = LightOfSky(bare, camera, resolved.facts, inputs, ALL_G_MAG, resolved.dut1_s)
     middle = np.array([0.5 * (camera.columns - 1)]), np.array([0.5 * (camera.rows - 1)])
-    g = geometry_anywhere(bare, np.zeros(1, np.int64), light.dut1_s, np.zeros(1))
-    own = sum(light.per_pixel(g, 0, g.middle, *middle).values())
-    return SkyBehind(light, float(light.pixel_m2_sr(*middle)[0]), float(own[0]))  # type: ignore[index]
+    return SkyBehind(light, float(light.pixel_m2_sr(*middle)[0]))
 
 
 def _axes(up: Array) -> Array:

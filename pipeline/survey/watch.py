@@ -43,7 +43,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 GALACTIC_POLE = from_angles(*np.array([192.859_48, 27.128_25]) * DEG_RAD)  # J2000
-CHANGING = ("moonlight", "twilight")  # parts of the sky that come and go in a night
+CHANGING = ("moonlight", "twilight", "stray_light")  # parts of the sky that come and go
+DISCS_RAD = {"sun": 0.0048, "moon": 0.005, "earth": 0.0}  # radii on the sky, at most; of the limb
 LEAST_NOISE = 1e-3  # of the table's, squared: no sky is darker than its thousandth
 MOST_LIFT_RAD = 0.0125  # by the air, at the horizon, with room
 PROBE = {  # a target, so that the Sun's light in the band is worked out
@@ -143,13 +144,18 @@ class Watcher:
     def refused_rad(self) -> dict[str, float]:
         """Angles [rad] from the middle of the field within which the camera's own scene would be
         refused, of what is in sight: Sun, Moon, Earth's limb; 0 or less: none."""
-        scene = self.resolved.scene
-        b = scene.background
+        scene = self.resolved.scene if self.sky is None else self.sky.light.scene
         angles = {"sun": sun_exclusion_rad(scene), "moon": 0.0, "earth": 0.0}
-        stray = None if b is None else b.stray_light
-        if stray is not None and stray.inside == "refuse" and stray.exclusion_deg is not None:
-            own = stray.exclusion_deg * DEG_RAD + corner_radius(self.resolved.camera)
-            angles |= {name: own for name in angles if getattr(stray, name)}
+        stray = None if self.sky is None else self.sky.stray
+        if stray is None:
+            return angles
+        nearest_deg = 0.0
+        if stray.inside == "refuse" and stray.exclusion_deg is not None:
+            nearest_deg = stray.exclusion_deg
+        for name, radius_rad in DISCS_RAD.items():  # in the field they are refused in any case
+            if getattr(stray, name):
+                least = max(nearest_deg * DEG_RAD, radius_rad)
+                angles[name] = least + corner_radius(self.resolved.camera)
         return angles
 
     @property
@@ -163,7 +169,7 @@ class Watcher:
             )
         if self.sky is None:
             return told + ", the same everywhere and always"
-        return told + " above it at the start without Moon and twilight; each object its own"
+        return told + " above it at the start without what comes and goes; each object its own"
 
     @property
     def dwell_s(self) -> float:

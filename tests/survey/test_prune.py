@@ -16,7 +16,7 @@ from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.spec.study import FieldOfRegard, Synthetic
 from pipeline.survey.elements import Elements, synthetic_elements
 from pipeline.survey.prune import _days, never_seen
-from pipeline.survey.sights import allowed, sights_of
+from pipeline.survey.sights import sights_of
 from pipeline.survey.watch import MOST_LIFT_RAD, Watcher, make_watcher
 from tests.survey.conftest import EPOCH, sections, watcher
 
@@ -92,7 +92,7 @@ def pruned_and_seen(w: Watcher, objects: Elements) -> tuple[np.ndarray, np.ndarr
         w, watch, when, who, place[who, when], speed[who, when], objects.reflecting_m2[who],
         objects.shaded[who],
     )  # fmt: skip
-    seen = np.unique(s.object[allowed(w, watch, s) & (s.snr >= 20.0)])
+    seen = np.unique(s.object[s.snr >= 20.0])
     return never_seen(w, watch, objects, 20.0), seen
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.errors import BadInput
 from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.positions.times import format_utc, instants
 from pipeline.physics.vectors import from_angles, separation, to_angles, unit
@@ -103,6 +104,29 @@ def test_a_satellite_against_the_renderer() -> None:
     np.testing.assert_allclose(asked(w, offset_s, u)[far], truth, rtol=0.08)
 
 
+@pytest.mark.parametrize("observer", [None, {"kind": "orbit", "orbit": ORBIT}])
+def test_stray_light_against_the_renderer(observer: dict[str, Any] | None) -> None:
+    """That of each line of sight at its own moment: of the Moon from a site, of all three bodies
+    along an orbit, into and out of the Earth's shadow."""
+    pst = {"kind": "harvey", "b0_per_sr": 0.06, "shoulder": 0.02, "slope": -1.9}
+    sky = {"stray_light": {"pst": pst, "inside": "clip", "exclusion_deg": 1.0}}
+    w = watcher_of(sky, **{} if observer is None else {"observer": observer})
+    assert w.resolved.facts.background_e_s == 0.0
+    offset_s = np.sort(np.random.default_rng(6).uniform(0.0, 6000.0, 16))
+    u = above(w, offset_s, np.random.default_rng(7))
+    truth = [rendered_e_s(w, sky, t, d) for t, d in zip(offset_s, u, strict=True)]
+    assert max(truth) > 5.0 * min(truth)
+    np.testing.assert_allclose(asked(w, offset_s, u), truth, rtol=1e-2, atol=1e-9)
+
+
+def test_a_curve_that_ends_is_refused_where_a_sensor_may_look_anywhere(tmp_path: Path) -> None:
+    (tmp_path / "pst.csv").write_text("angle_deg,pst\n1,1e-3\n90,1e-9\n")
+    pst = {"kind": "table", "path": str(tmp_path / "pst.csv")}
+    with pytest.raises(BadInput, match=r"ends at 90 deg.*180 degrees, as a sensor"):
+        watcher_of({"stray_light": {"pst": pst | {"beyond": "refuse"}}})
+    assert watcher_of({"stray_light": {"pst": pst | {"beyond": "zero"}}}).sky is not None
+
+
 def test_near_the_sun_it_is_the_brightest_that_is_known() -> None:
     w = watcher_of({"zodiacal": True}, observer={"kind": "orbit", "orbit": ORBIT})
     watch = w.watch(np.zeros(1))
@@ -126,7 +150,7 @@ def test_moon_and_twilight_are_in_the_sky_behind_alone() -> None:
     steady = {"airglow": True, "uniform_mag_arcsec2": 22.0}
     w = watcher_of(steady | {"moonlight": True, "twilight": True})
     assert w.resolved.facts.background_e_s == watcher_of(steady).resolved.facts.background_e_s
-    assert "without Moon and twilight" in w.sky_note
+    assert "without what comes and goes" in w.sky_note
     only = watcher_of({"moonlight": True})
     assert only.resolved.facts.background_e_s == 0.0
     assert only.sky is not None

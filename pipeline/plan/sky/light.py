@@ -127,16 +127,11 @@ class LightOfSky:
 
     def stray(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> dict[str, Array]:
         """Each body's stray light (n,) [e-/s and pixel]."""
-        from pipeline.plan.sky.stray_light import stray_parts
-
         request = background_of(self.scene).stray_light
         assert request is not None
-        assert self.inputs.stray is not None
-        inputs, air = self.inputs.stray, self.inputs.extinction
 
         def parts(request: StrayLight, x: Array, y: Array) -> dict[str, Array]:
-            u = self.directions(g, f, node, x, y)
-            return stray_parts(self.scene, request, inputs, g, f, node, u, self.dut1_s, air)
+            return self.scattered(request, g, f, node, self.directions(g, f, node, x, y))
 
         lamps = request.model_copy(update={"earth": False})
         out = parts(lamps, x, y)
@@ -145,6 +140,22 @@ class LightOfSky:
             rows, columns = self.camera.rows, self.camera.columns
             out["earth"] = smooth(lambda x, y: parts(earth, x, y)["earth"], rows, columns, x, y)
         return out
+
+    def scattered(
+        self,
+        request: StrayLight,
+        g: Geometry,
+        f: int,
+        node: int,
+        u: Array,
+        checked: bool = True,
+    ) -> dict[str, Array]:
+        """The same along lines of sight (n, 3), as `stray_parts` has it."""
+        from pipeline.plan.sky.stray_light import stray_parts
+
+        assert self.inputs.stray is not None
+        inputs, air = self.inputs.stray, self.inputs.extinction
+        return stray_parts(self.scene, request, inputs, g, f, node, u, self.dut1_s, air, checked)
 
     def directions(self, g: Geometry, f: int, node: int, x: Array, y: Array) -> Array:
         """Unit vectors (n, 3) of the sky before refraction and aberration, of places x, y (n,)."""

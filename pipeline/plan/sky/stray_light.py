@@ -72,11 +72,13 @@ def stray_parts(
     u: Array,
     dut1_s: float,
     extinction: BandExtinction | None = None,
+    checked: bool = True,
 ) -> dict[str, Array]:
     """Electrons/s and pixel (n,) of each body at one instant; u : (n, 3) lines of sight.
 
     A body behind the Earth gives none, and one half behind it half. Raises BadInput for a body
-    within the exclusion angle, or in a line of sight, or where the curve does not reach.
+    within the exclusion angle, or in a line of sight, or where the curve does not reach; unless
+    checked is False: of lines of sight that are no frame of the scene's.
     """
     tt = g.tt1[f, node], g.tt2[f, node]
     earth = earth_and_sun(*tt)
@@ -93,14 +95,15 @@ def stray_parts(
         if extinction is not None and g.has_air:
             passed = extinction.transmission(lamp.towards @ g.air[f, node, :3])
             lamp = replace(lamp, irradiance=lamp.irradiance * float(passed))
-        if lamp.irradiance > 0.0:
+        if lamp.irradiance > 0.0 and checked:
             _check_frame(scene, g.attitude[f, node], name, lamp)
-        out[name.lower()] = _lamp(request, inputs, name, lamp, u) * pixel_m2
+            _check(request, inputs.pst, name, separation(u, lamp.towards[None]))
+        out[name.lower()] = _lamp(inputs, lamp, u) * pixel_m2
     if request.earth and not isinstance(scene.observer, GroundObserver):
         turn = np.eye(3)
         if inputs.albedo.size > 1:
             turn = gcrs_to_itrs(instants(parse_utc(scene.epoch), g.offset_s[f, node], dut1_s))[0]
-        out["earth"] = _earth(request, inputs, turn, place, sun, u) * pixel_m2
+        out["earth"] = _earth(request, inputs, turn, place, sun, u, checked) * pixel_m2
     return out
 
 
@@ -136,32 +139,32 @@ def _seen_past_earth(place: Array, to_body: Array, radius_m: float) -> float:
     return float(np.clip(0.5 + 0.5 * above / radius, 0.0, 1.0))
 
 
-def _lamp(request: StrayLight, inputs: StrayInputs, name: str, body: _Body, u: Array) -> Array:
+def _lamp(inputs: StrayInputs, body: _Body, u: Array) -> Array:
     """Electrons/s/m2 of focal plane (n,) of a lamp."""
     if body.irradiance <= 0.0:
         return np.zeros(len(u))
-    angle = separation(u, body.towards[None])
-    _check(request, inputs.pst, name, float(angle.min()), float(angle.max()))
-    return inputs.pst.value(angle) * body.irradiance
+    return inputs.pst.value(separation(u, body.towards[None])) * body.irradiance
 
 
 def _earth(
-    request: StrayLight, inputs: StrayInputs, turn: Array, place: Array, sun: Array, u: Array
+    request: StrayLight,
+    inputs: StrayInputs,
+    turn: Array,
+    place: Array,
+    sun: Array,
+    u: Array,
+    checked: bool,
 ) -> Array:
     """Electrons/s/m2 of focal plane (n,) of the Earth's disc; turn : (3, 3) to its own axes."""
     height, distance = float(np.sqrt(place @ place)), float(np.sqrt(sun @ sun))
     radius = float(np.arcsin(min(1.0, EARTH_EQUATORIAL_RADIUS_M / height)))
     from_limb = separation(u, -place[None]) - radius
-    farthest = min(float(from_limb.max()) + 2.0 * radius, np.pi)
-    rate = inputs.sun_rate * (ASTRONOMICAL_UNIT_M / distance) ** 2
-    if float(from_limb.min()) > 0.0:
-        light = earth_stray(u, place, sun, inputs.pst, inputs.albedo, turn)
-        if not light.any():
-            return light  # all that is seen of it is dark
-        _check(request, inputs.pst, "Earth's limb", float(from_limb.min()), farthest)
-        return light * rate
-    _check(request, inputs.pst, "Earth's limb", float(from_limb.min()), farthest)
-    return np.zeros(len(u))
+    beside, light = from_limb > 0.0, np.zeros(len(u))
+    if beside.any():
+        light[beside] = earth_stray(u[beside], place, sun, inputs.pst, inputs.albedo, turn)
+    if checked and (light.any() or not beside.all()):  # else all that is seen of it is dark
+        _check(request, inputs.pst, "Earth's limb", from_limb, 2.0 * radius)
+    return light * (inputs.sun_rate * (ASTRONOMICAL_UNIT_M / distance) ** 2)
 
 
 def _check_frame(scene: Scene, attitude: Array, name: str, body: _Body) -> None:
@@ -181,8 +184,12 @@ def _in_field(name: str) -> BadInput:
     )
 
 
-def _check(request: StrayLight, pst: Pst, name: str, nearest: float, farthest: float) -> None:
-    """Refuse a body in a line of sight, inside the exclusion angle, or beyond the curve's end."""
+def _check(request: StrayLight, pst: Pst, name: str, angle: Array, across: float = 0.0) -> None:
+    """Refuse a body in a line of sight, inside the exclusion angle, or beyond the curve's end.
+
+    angle : (n,) from lines of sight to its nearest point, whose farthest is so far `across` [rad]
+    """
+    nearest, farthest = float(angle.min()), min(float(angle.max()) + across, np.pi)
     if nearest <= 0.0:
         raise _in_field(name)
     if request.inside == "refuse" and nearest < pst.exclusion_rad:
@@ -192,14 +199,21 @@ def _check(request: StrayLight, pst: Pst, name: str, nearest: float, farthest: f
             f"{pst.exclusion_rad / DEG_RAD:g} degrees or more (exclusion_deg), or inside: "
             "extrapolate or clip",
         )
-    beyond = getattr(pst, "beyond", None)
-    if beyond == "refuse" and farthest > pst.end_rad:
-        raise BadInput(
-            FIELD + ".pst.path",
-            f"a curve that ends at {pst.end_rad / DEG_RAD:g} deg",
-            f"angles up to {farthest / DEG_RAD:.4g} degrees, where the {name} stands; or "
-            "pst.beyond: zero or clip",
-        )
+    _check_end(
+        pst, farthest, f"angles up to {farthest / DEG_RAD:.4g} degrees, where the {name} stands"
+    )
+
+
+def _check_end(pst: Pst, farthest_rad: float, allowed: str) -> None:
+    """Refuse angles beyond the end of a curve that says nothing of what is there."""
+    if getattr(pst, "beyond", None) == "refuse" and farthest_rad > pst.end_rad:
+        told = f"a curve that ends at {pst.end_rad / DEG_RAD:g} deg"
+        raise BadInput(FIELD + ".pst.path", told, f"{allowed}; or pst.beyond: zero or clip")
+
+
+def check_all_round(pst: Pst) -> None:
+    """Refuse a curve that ends before 180 degrees for a sensor that may look anywhere."""
+    _check_end(pst, np.pi, "180 degrees, as a sensor may look anywhere")
 
 
 def stray_told(request: StrayLight, ends: list[dict[str, Array]]) -> list[Decision]:

@@ -326,7 +326,7 @@ def test_edges_of_a_curve(angle, inside, refused):
     ends = np.radians([2.0, 90.0])
     pst = PstTable(ends, np.ones(2), float(ends[0]), inside, "refuse")
     with pytest.raises(BadInput) if refused else nullcontext():
-        _check(wish, pst, "Sun", *np.radians(angle))
+        _check(wish, pst, "Sun", np.radians(angle))
 
 
 @pytest.mark.parametrize("epoch", ["2020-01-05T06:00:00Z", "2020-07-04T06:00:00Z"])
