@@ -57,6 +57,8 @@ def groups_of(asked: Scene, times: Times) -> tuple[list[Group], list[str]]:
     if not (asked.targets or asked.populations):
         raise BadInput("targets", "none", "a target or a population, to observe it")
     sensor, notes, drawable = _sensor_of(asked)
+    if not times.as_exposed:
+        notes = [f"of the scene's own exposures: {note}" for note in notes]
     own, as_drawn = len(asked.targets), drawable and times.as_exposed
     first, last = (float(v) for v in times.middle_s[[0, -1]])
     near_s = 0.0 if times.as_exposed else 0.5 * (first + last)

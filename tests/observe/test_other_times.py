@@ -109,3 +109,18 @@ def test_of_several_sets_the_one_nearest_to_the_times_counts(tmp_path: Path) -> 
         ]
     assert rows["both"][0] == rows["late"][0]
     assert rows["both"][1] != rows["late"][1]
+
+
+def test_what_is_said_of_the_scenes_own_exposures_is_named_so() -> None:
+    """A shadow that a target is in then says nothing of other times."""
+    behind = [-7.0e6, 0.0, 0.0]
+    scene = parse_scene(night(epoch="2020-03-20T04:00:00Z", targets=[
+        night()["targets"][0] | {"orbit": {"kind": "state", "position_m": behind,
+                                           "velocity_m_s": [0.0, 7546.0, 0.0]}}
+    ]))  # fmt: skip
+    own = [note for note in observe(scene).notes if "in the Earth's shadow" in note]
+    assert len(own) == 1
+    half = observe(scene, [2900.0])
+    [told] = [note for note in half.notes if "in the Earth's shadow" in note]
+    assert told == f"of the scene's own exposures: {own[0]}"
+    assert half.table["sunlit_fraction"].to_pylist() == [1.0]
