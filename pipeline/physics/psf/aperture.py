@@ -157,9 +157,8 @@ def lattice(
     obscuration: float, vanes: SpiderVanes | None, waves: Terms, cells: int = CELLS
 ) -> ApertureLattice:
     """Sample the pupil, correlate it with itself, and subtract the plain annulus."""
-    at = (np.arange(cells) + 0.5) / cells - 0.5  # in diameters
-    y, x = at[:, None], at[None, :]
-    plain = _disc(y, x, 0.5, cells) - _disc(y, x, 0.5 * obscuration, cells)
+    y, x = _places(cells)
+    plain, of_plain = _annulus(obscuration, cells)
     field = plain if vanes is None else plain * (1.0 - _blocked(y, x, vanes, cells))
     area = float(field.sum()) / cells**2
     if area < LEAST_OPEN * float(plain.sum()) / cells**2:
@@ -179,7 +178,7 @@ def lattice(
             f"at most {STEEPEST * cells:.0f}: weaker terms, or a table from a design program",
         )
     values = _correlate(field * np.exp(2j * np.pi * w) if waves else field, area)
-    values -= _correlate(plain, float(plain.sum()) / cells**2)
+    values -= of_plain
     values[cells, 0] = 0.0
     if np.abs(values.imag).max() < 1e-12:
         values = values.real
@@ -193,6 +192,23 @@ def lattice(
 def _traits(obscuration: float, vanes: SpiderVanes | None, waves: Terms) -> ApertureLattice:
     """The lattice without its values, which are 8 MB each."""
     return replace(lattice(obscuration, vanes, waves), values=np.zeros((0, 0)))
+
+
+def _places(cells: int) -> tuple[Array, Array]:
+    """Middles of the cells (rows, 1) and (1, columns), in diameters."""
+    at = (np.arange(cells) + 0.5) / cells - 0.5
+    return at[:, None], at[None, :]
+
+
+@lru_cache(maxsize=1)  # all wavelengths have it, and all places of a field
+def _annulus(obscuration: float, cells: int) -> tuple[Array, Transfer]:
+    """Share of each cell that the plain annulus leaves open, and that correlated with itself."""
+    y, x = _places(cells)
+    plain = _disc(y, x, 0.5, cells) - _disc(y, x, 0.5 * obscuration, cells)
+    values = _correlate(plain, float(plain.sum()) / cells**2)
+    for array in (plain, values):
+        array.setflags(write=False)
+    return plain, values
 
 
 def _correlate(field: NDArray[np.complex128] | Array, area: float) -> Transfer:
