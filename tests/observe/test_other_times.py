@@ -9,6 +9,7 @@ import pytest
 from astropy.time import Time, TimeDelta
 from astropy.utils import iers
 from scipy.integrate import solve_ivp
+from sgp4.api import Satrec
 
 from pipeline.observe.groups import groups_of
 from pipeline.observe.observe import observe
@@ -124,3 +125,22 @@ def test_what_is_said_of_the_scenes_own_exposures_is_named_so() -> None:
     [told] = [note for note in half.notes if "in the Earth's shadow" in note]
     assert told == f"of the scene's own exposures: {own[0]}"
     assert half.table["sunlit_fraction"].to_pylist() == [1.0]
+
+
+def test_an_object_that_decays_while_it_is_exposed_is_omitted_and_told(tmp_path: Path) -> None:
+    """The middle of the exposure, which is asked for, is some minutes before its end."""
+    first, second = tle(7, 51.6, 10.0, 0.001, 20.0, 30.0, 16.2)
+    first = with_checksum(first.replace("23000-4", "90000-2"))
+    (tmp_path / "low.tle").write_text(f"{first}\n{second}\n")
+    low, day = Satrec.twoline2rv(first, second), 2458593.5
+    fraction = np.arange(0.4, 3.0, 10.0 / DAY_S)
+    failed = low.sgp4_array(np.full(len(fraction), day), fraction)[0] != 0
+    assert not failed[0]
+    decay_s = (fraction[np.argmax(failed)] - 10.0 / 24.0) * DAY_S  # after 2019-04-20 10:00
+    crowd = {"name": "crowd", "path": str(tmp_path / "low.tle"), "body": BALL}
+    exposure = {"integration_s": 900.0, "frames": 1}
+    scene = parse_scene(night(targets=[], populations=[crowd], pointing=ASIDE, exposure=exposure))
+    assert observe(scene, [decay_s - 3600.0]).table.num_rows == 1
+    during = observe(scene, [decay_s - 200.0])
+    assert during.table.num_rows == 0
+    assert any("1 of 1 element sets omitted" in note for note in during.notes)
