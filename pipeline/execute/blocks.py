@@ -13,7 +13,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
+from pipeline.arrays import Array, FrameStars, Geometry, concatenate
 from pipeline.execute.sources import (
     FrameTarget,
     drawing_order,
@@ -107,16 +107,21 @@ def parts_of(plan: Plan, x_px: float, y_px: float, light_e: float) -> list[tuple
     return [(blur, float(light[0])) for blur, _, light in plan.responses.parts(*one)]
 
 
-def around(stars: FrameStars, tile: Tile, reach: float) -> FrameStars:
-    """Stars within `reach` pixels of a tile."""
+def is_near(stars: FrameStars, tile: Tile, reach: float) -> NDArray[np.bool_]:
+    """Which stars (n,) are within `reach` pixels of a tile."""
     place = (tile.y0, tile.x0, tile.rows, tile.columns)
-    return select(stars, distance_px(stars.x_px, stars.y_px, *place) < reach)
+    return np.asarray(distance_px(stars.x_px, stars.y_px, *place) < reach)
+
+
+def around(stars: FrameStars, tile: Tile, reach: float) -> FrameStars:
+    """These stars, in drawing order."""
+    return drawing_order(stars, is_near(stars, tile, reach))
 
 
 def render_block(plan: Plan, g: Geometry, place: Tile, parts: list[FrameStars]) -> LightBlock:
     """Wings of all sources around a block, and its stars where they are many."""
     reach = plan.halo_px + excursion_px(plan, g)
-    every = drawing_order(around(concatenate(parts, FrameStars), place, reach))
+    every = around(concatenate(parts, FrameStars), place, reach)
     stars, setting = whole_stars(every), setting_stars(plan, g, every)
     targets = place_targets(plan, g) if plan.responses.spacing_px else []
     error_e = _wing_error_e(plan, every, targets)

@@ -17,7 +17,6 @@ from pipeline.execute.blocks import around, class_of, parts_of, target_class
 from pipeline.execute.light import add_beyond
 from pipeline.execute.sources import (
     FrameTarget,
-    drawing_order,
     excursion_px,
     place_targets,
     setting_stars,
@@ -229,7 +228,7 @@ def _sources(
     plan: Plan, g: Geometry, at: Tile, stars: FrameStars, own_paths: int
 ) -> tuple[list[tuple[Group, float]], list[FrameTarget]]:
     """Groups of points near a window, each with the radius where its light ends, and bodies."""
-    every = drawing_order(around(stars, at, plan.halo_px + excursion_px(plan, g)))
+    every = around(stars, at, plan.halo_px + excursion_px(plan, g))
     near, setting = whole_stars(every), setting_stars(plan, g, every)
     targets = place_targets(plan, g)
     followed = _star_groups(plan, g, at, near, own_paths)

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
-from pipeline.execute.blocks import LightBlock, around, class_of, parts_of, target_class
+from pipeline.execute.blocks import LightBlock, around, class_of, is_near, parts_of, target_class
 from pipeline.execute.guards import guard_brightness, guard_light, guard_stars, inside_tile
 from pipeline.execute.sources import (
     FrameTarget,
-    drawing_order,
     excursion_px,
     place_targets,
     setting_stars,
@@ -43,19 +42,18 @@ def draw_stars(
     paths = streaks(plan, g)
     reach, every = _core_reach(plan, paths), concatenate(parts, FrameStars)
     guard_stars(g, tile, every)
-    around_it = drawing_order(around(every, tile, reach))
-    stars = whole_stars(around_it)
+    stars = whole_stars(around(every, tile, reach))
     if not any(b.crowd_e is not None for b in blocks):
         _draw_stamps(plan, g, image, tile, paths, stars)
     else:
         for block in blocks:
             part = overlap(tile, block.place)
-            mine = around(select(stars, ~block.in_crowd(stars.light_e)), part, reach)
+            mine = select(stars, ~block.in_crowd(stars.light_e) & is_near(stars, part, reach))
             piece = _cut(image, tile, part)
             _draw_stamps(plan, g, piece, part, paths, mine)
             if block.crowd_e is not None:
                 piece += _cut(block.crowd_e, block.place, part)
-    far = drawing_order(around(every, tile, plan.halo_px + excursion_px(plan, g)))
+    far = around(every, tile, plan.halo_px + excursion_px(plan, g))
     for star in setting_stars(plan, g, far):
         _draw_point(plan, image, tile, star)
     far = whole_stars(far)

@@ -95,7 +95,7 @@ def place_stars(
         light = light * longer[near]
     if plan.extinction is not None:
         light = light * star_transmission(plan.extinction, g, observed[near])
-    placed = FrameStars(
+    return FrameStars(
         kept.source_id,
         x[near],
         y[near],
@@ -107,7 +107,6 @@ def place_stars(
         np.full(len(kept), catalogue, np.uint8),
         visible,
     )
-    return drawing_order(placed)
 
 
 def whole_stars(stars: FrameStars) -> FrameStars:
@@ -160,30 +159,37 @@ def guard_some(
     guard_places(plan, g.attitude[0, g.middle], x_px[some], y_px[some], observed[some], names)
 
 
-def drawing_order(stars: FrameStars) -> FrameStars:
+def drawing_order(stars: FrameStars, near: NDArray[np.bool_] | None = None) -> FrameStars:
     """Stars in the one order in which every tile draws them: by square of the frame, then by id.
 
-    Two catalogues may use one id for two stars. Stars of one shard are in this order already.
+    Two catalogues may use one id for two stars. near : (n,) which of the stars; default: all
     """
-    if len(stars) < 2:
-        return stars
-    row, column = np.floor(stars.y_px / SQUARE_PX), np.floor(stars.x_px / SQUARE_PX)
+    if near is None:
+        near = np.ones(len(stars), bool)
+    which = np.flatnonzero(near)
+    if len(which) < 2:
+        return select(stars, which)
+    row, column = (np.floor(v[which] / SQUARE_PX) for v in (stars.y_px, stars.x_px))
     row, column = row - row.min(), column - column.min()
     square = (row * (column.max() + 1.0) + column).astype(np.int64)
-    by_id = stars.source_id[1:] > stars.source_id[:-1]
-    if ((square[1:] > square[:-1]) | ((square[1:] == square[:-1]) & by_id)).all():
-        return stars
     if square.max() < 1 << 16:
         square = square.astype(np.uint16)  # which numpy sorts ten times as fast
-    if by_id.all():
-        return select(stars, np.argsort(square, kind="stable"))
-    order = np.lexsort((stars.catalogue, stars.source_id))
-    return select(stars, order[np.argsort(square[order], kind="stable")])
+    if not _is_ascending(stars.source_id[which]):
+        by_id = np.lexsort((stars.catalogue[which], stars.source_id[which]))
+        which, square = which[by_id], square[by_id]
+    return select(stars, which[np.argsort(square, kind="stable")])
 
 
 def truth_order(stars: FrameStars) -> FrameStars:
     """Stars as the truth tables list them: by id."""
+    if _is_ascending(stars.source_id):
+        return stars
     return select(stars, np.lexsort((stars.catalogue, stars.source_id)))
+
+
+def _is_ascending(source_id: NDArray[np.int64]) -> bool:
+    """Whether stars are by id already, as those of one shard are."""
+    return bool((source_id[1:] > source_id[:-1]).all())
 
 
 def excursion_px(plan: ResolvedScene, g: Geometry) -> float:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 ROWS = 1 << 16  # of a row group that several frames share
 TOGETHER = 64
-LARGE = 1 << 16  # bytes of a part that is worth packing
 CHECKSUM = 4  # bytes, at the end of a part
 
 
@@ -37,9 +36,7 @@ def part_content(table: pa.Table) -> bytes:
     """The truth of one frame as it is stored: an Arrow stream, then its checksum."""
     pa = arrow()
     out = pa.BufferOutputStream()
-    large = table.nbytes > LARGE  # a small one takes longer to unpack than to read
-    options = pa.ipc.IpcWriteOptions(compression="lz4" if large else None)
-    with pa.ipc.new_stream(out, table.schema, options=options) as stream:
+    with pa.ipc.new_stream(out, table.schema) as stream:
         stream.write_table(table)
     content = bytes(out.getvalue())
     return content + _checksum(content)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from pipeline.arrays import Array
 from pipeline.physics.positions.focal_plane import Camera
@@ -44,13 +45,16 @@ def lagrange(t: Array) -> Array:
     return np.stack([0.5 * t * (t - 1.0), (1.0 - t) * (1.0 + t), 0.5 * t * (t + 1.0)])
 
 
-def biquadratic(table: Array, u: Array, v: Array) -> tuple[Array, Array]:
+@njit(cache=True, nogil=True)
+def biquadratic(table, u, v):
     """Values (n,) of x and y of a (2, 3, 3) table at (u, v), star by star in one order of sums."""
-    along, down = lagrange(u), lagrange(v)
-    x, y = np.zeros(u.shape), np.zeros(u.shape)
-    for j in range(3):
-        for i in range(3):
-            weight = down[j] * along[i]
-            x += weight * table[0, j, i]
-            y += weight * table[1, j, i]
+    x, y = np.zeros(u.size), np.zeros(u.size)
+    for k in range(u.size):
+        along = (0.5 * u[k] * (u[k] - 1.0), (1.0 - u[k]) * (1.0 + u[k]), 0.5 * u[k] * (u[k] + 1.0))
+        down = (0.5 * v[k] * (v[k] - 1.0), (1.0 - v[k]) * (1.0 + v[k]), 0.5 * v[k] * (v[k] + 1.0))
+        for j in range(3):
+            for i in range(3):
+                weight = down[j] * along[i]
+                x[k] += weight * table[0, j, i]
+                y[k] += weight * table[1, j, i]
     return x, y

@@ -14,7 +14,7 @@ from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
 from pipeline.execute.blocks import around
 from pipeline.execute.light import add_wings_of, draw_along
-from pipeline.execute.sources import drawing_order, excursion_px
+from pipeline.execute.sources import excursion_px
 from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile
 from pipeline.studies.scenes.exact import Exact, exact_sky
@@ -201,7 +201,7 @@ def _own_paths(stage: Stage, plan: Plan) -> Light:
     def draw(tile: Tile) -> dict[str, Array]:
         image = np.zeros((tile.rows, tile.columns))
         reach = plan.responses.classes[-1].radius_px + excursion_px(plan, stage.g) + 8.0
-        stars = drawing_order(around(stage.stars, tile, reach))
+        stars = around(stage.stars, tile, reach)
         draw_along(_without_tables(plan), stage.g, image, tile, stars)
         for block in blocks(tile):
             add_wings_of(image, tile, block, block.star_wings)
