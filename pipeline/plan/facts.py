@@ -40,8 +40,9 @@ class Facts:
     background_e_s : sky of the darkest pixel, per second; of `gather_facts` alone the uniform sky
         in the central pixel; background_e : the same in an exposure
     dark_e, read_noise_e : typical values (medians)
-    sigma_floor_e : noise of a pixel that holds no source: photon noise of sky and dark where the
-        scene draws it, read noise, quantisation
+    sigma_floor_e : noise of a quiet pixel that holds no source: photon noise of sky and dark where
+        the scene draws it, read noise, quantisation
+    quieter_e2 : how much less variance that is than a typical pixel's [e-^2]
     budget_e : error that one approximation may make in such a pixel
     field : the responses over the field; None where one serves it all
     brightest_e : light of the brightest source in the longest exposure; 0 where not known
@@ -64,6 +65,7 @@ class Facts:
     brightest_e: float = 0.0
     flat: float = 1.0
     ab_rate_e_s_m2: float = math.nan
+    quieter_e2: float = 0.0
 
 
 def gather_facts(
@@ -75,6 +77,7 @@ def gather_facts(
     table: Sampled | tuple[Sampled | None, ...] | None = None,
     brightest_e: float = 0.0,
     flat: float = 1.0,
+    quieter_e2: float = 0.0,
 ) -> Facts:
     """Facts from the scene, its response curve and the typical values of its sensor maps.
 
@@ -83,7 +86,7 @@ def gather_facts(
     table : the point-spread function that the scene names as a table, read; of a field, one for
         each of its places, row by row (None for those that are no table)
     brightest_e : light of the brightest source in the longest exposure, as far as it is known
-    flat : typical response to light (median)
+    flat : typical response to light (median); quieter_e2 : of the Facts
     """
     s, t = scene.sensor, integration_range_s(scene)[0]
     pitch = s.pixel_pitch_um * 1e-6
@@ -94,7 +97,7 @@ def gather_facts(
     def noise_e(area_m2: float) -> tuple[float, float]:
         """Light of the sky [e-/s], and the noise of a pixel without sources [e-]."""
         sky = background_rate_e_s(scene, response, area_m2, pitch)
-        return sky, noise_floor_e(scene, sky * t + dark, read_noise_e, gain_e_per_dn)
+        return sky, noise_floor_e(scene, sky * t + dark, read_noise_e, gain_e_per_dn, quieter_e2)
 
     floor_e = noise_e(annulus_m2 * open_past_vanes(s))[1]
     limit = None
@@ -128,16 +131,21 @@ def gather_facts(
         brightest_e=brightest_e,
         flat=flat,
         ab_rate_e_s_m2=ab_photon_rate(0.0, response),
+        quieter_e2=quieter_e2,
     )
 
 
 def noise_floor_e(
-    scene: Scene, charge_e: float, read_noise_e: float, gain_e_per_dn: float
+    scene: Scene,
+    charge_e: float,
+    read_noise_e: float,
+    gain_e_per_dn: float,
+    quieter_e2: float = 0.0,
 ) -> float:
     """Noise of a pixel of this mean charge [e-]: of photons, unless the scene draws none; of
-    reading; of rounding, which is never nothing."""
+    reading; of rounding, which is never nothing. quieter_e2 : of the Facts"""
     photons_e2 = charge_e if scene.sensor.photon_noise else 0.0
-    return math.sqrt(photons_e2 + read_noise_e**2 + gain_e_per_dn**2 / 12.0)
+    return math.sqrt(photons_e2 + read_noise_e**2 + gain_e_per_dn**2 / 12.0 - quieter_e2)
 
 
 def error_budget_e(scene: Scene, sigma_e: float) -> float:

@@ -56,14 +56,13 @@ class ResolvedScene:
         return integration_s(self.scene, frame)
 
     def floor_e(self, frame: int) -> float:
-        """Noise of a pixel of a frame that holds no source [e-]; the facts' is that of the shortest
-        exposure."""
+        """Noise of a typical pixel of a frame that holds no source [e-]; the facts' is that of a
+        quiet one in the shortest exposure."""
         f, time_s = self.facts, self.integration_s(frame)
-        least_s = integration_range_s(self.scene)[0]
-        if time_s == least_s or not self.scene.sensor.photon_noise:
-            return f.sigma_floor_e
-        more = (time_s - least_s) * (f.background_e_s + f.dark_e / least_s)
-        return math.sqrt(f.sigma_floor_e**2 + more)
+        least_s, more_e2 = integration_range_s(self.scene)[0], f.quieter_e2
+        if time_s != least_s and self.scene.sensor.photon_noise:
+            more_e2 += (time_s - least_s) * (f.background_e_s + f.dark_e / least_s)
+        return math.sqrt(f.sigma_floor_e**2 + more_e2) if more_e2 else f.sigma_floor_e
 
     def sky_e_s(self, frame: int, x_px: Array, y_px: Array) -> Array:
         """Sky (n,) at places in a frame, or beside it as at its edge, before the flat [e-/s]."""
@@ -89,7 +88,7 @@ class ResolvedScene:
         """
         f, least_s = self.facts, integration_range_s(self.scene)[0]
         if not self.scene.sensor.photon_noise:
-            return np.full(self.frames, f.sigma_floor_e)
+            return np.full(self.frames, self.floor_e(0))
         frames, sky_e_s = np.arange(self.frames), np.array([f.background_e_s])
         time_s = frame_times(self.scene, frames)[1]
         if self.sky is not None:
@@ -98,7 +97,7 @@ class ResolvedScene:
             at_knots = [float(self.sky.e_s_at(k, x, y)[0]) for k in knots.tolist()]
             sky_e_s = np.interp(frames, knots, at_knots)
         more_e = f.flat * sky_e_s * time_s - f.background_e_s * least_s
-        more_e += f.dark_e * (time_s / least_s - 1.0)
+        more_e += f.dark_e * (time_s / least_s - 1.0) + f.quieter_e2
         return np.asarray(np.sqrt(f.sigma_floor_e**2 + more_e))
 
     @property

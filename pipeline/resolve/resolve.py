@@ -30,7 +30,7 @@ from pipeline.plan.pointing.timescales import hurried_remarks
 from pipeline.plan.resolved import ResolvedScene, resolved_scene
 from pipeline.plan.response.responses import plan_responses
 from pipeline.plan.response.sources import KnownSources
-from pipeline.plan.sensor.detector import typical_read_noise_e
+from pipeline.plan.sensor.detector import quieter_e2, typical_read_noise_e
 from pipeline.plan.sky.doubts import sky_doubts
 from pipeline.plan.stars.brightest import brightest_target_e
 from pipeline.plan.stars.field_stars import FieldStars
@@ -111,6 +111,7 @@ def resolve(asked: Scene) -> Resolved:
             brightest_target_e(scene, g, light.sun_rate_e_s_m2) if scene.targets else 0.0,
         ),
         maps.typical("flat"),
+        quieter_e2(scene, maps),
     )
     doubts = sky_doubts(scene, facts, band[0], dut1_s)
     extinction = _extinction(scene, band[0])

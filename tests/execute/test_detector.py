@@ -466,3 +466,19 @@ def test_points_of_a_polynomial_err_by_what_the_plan_says(coefficients):
     between = 0.5 * (curve(x[1:]) + curve(x[:-1])) - curve(0.5 * (x[1:] + x[:-1]))
     off_e = np.abs(between).max() * SCENE["sensor"]["full_well_e"]
     assert off_e <= told.error_bound_e <= 1.1 * off_e
+
+
+def test_drawing_is_planned_for_the_quietest_amplifier():
+    """Bounds are in units of its noise, the SNR of sources in that of a typical pixel."""
+    half = SCENE["sensor"]["shape"][1] // 2
+    one = {"rows": [0, SCENE["sensor"]["shape"][0]], "columns": [0, half], "read_noise_e": 3.0}
+    told = {"sensor__read_noise_e": 30.0, "sensor__dark_e_per_s": 0.0, "sensor__gain_e_per_dn": 2.0}
+    quiet = prepare(scene({"amplifiers": [one]}, **told)).plan
+    loud = prepare(scene({}, **told)).plan
+    sky_e2 = loud.facts.sigma_floor_e**2 - 900.0
+    assert quiet.facts.sigma_floor_e**2 == pytest.approx(9.0 + sky_e2, rel=1e-9)
+    typical = quiet.facts.read_noise_e
+    assert quiet.floor_e(0) ** 2 == pytest.approx(typical**2 + sky_e2, rel=1e-9)
+    assert loud.facts.quieter_e2 == 0.0
+    ratio = loud.facts.sigma_floor_e / quiet.facts.sigma_floor_e
+    assert loud.facts.budget_e == pytest.approx(ratio * quiet.facts.budget_e, rel=1e-9)

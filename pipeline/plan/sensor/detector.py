@@ -10,10 +10,13 @@ from pipeline.arrays import Array, SensorMaps
 from pipeline.physics.noise.transfer import lag_frames
 from pipeline.physics.noise.wells import collected_e
 from pipeline.plan.accuracy import SMALL, part_sigma
+from pipeline.plan.timing import integration_range_s
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import Detector, PolynomialResponse
 from pipeline.spec.sensor.sensor import Sensor
 
+QUIET = 0.01  # of the pixels: whose noise drawing is planned for
+LOOKED_AT = 4_000_000  # pixels of a large sensor
 LINEARITY_POINTS = 4097  # of a polynomial; straight between them
 
 
@@ -22,6 +25,24 @@ def typical_read_noise_e(scene: Scene, maps: SensorMaps) -> float:
     read = maps.typical("read_noise_e")
     d = scene.sensor.detector
     return read if d is None else math.hypot(read, d.row_noise_e, d.column_noise_e)
+
+
+def quieter_e2(scene: Scene, maps: SensorMaps) -> float:
+    """How much less variance a pixel has that is among the QUIET ones than the typical [e-^2]: of
+    reading, rounding and dark, in the shortest exposure."""
+    time_s = integration_range_s(scene)[0] * scene.sensor.photon_noise
+    names = ("dark_e_per_s", "read_noise_e", "gain_e_per_dn")
+    values = [np.asarray(getattr(maps, name)) for name in names]
+    if not any(v.ndim for v in values):
+        return 0.0
+
+    def variance(dark_e_s: Array | float, read_e: Array | float, gain: Array | float) -> Array:
+        return np.asarray(dark_e_s * time_s + np.square(read_e) + np.square(gain) / 12.0)
+
+    step = max(1, math.prod(scene.sensor.shape) // LOOKED_AT) | 1  # odd: no column by itself
+    some = (v.ravel()[::step] if v.ndim else v for v in values)
+    quiet = float(np.quantile(variance(*some), QUIET, method="lower"))
+    return max(0.0, float(variance(*map(maps.typical, names))) - quiet)
 
 
 def lag_depth(scene: Scene, sigma_e: float) -> int:
