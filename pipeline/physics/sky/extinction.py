@@ -27,6 +27,7 @@ OZONE_1E25_M2 = (
     0.415, 0.4228, 0.3237, 0.2451, 0.2801, 0.2534, 0.1624, 0.1465, 0.2078, 0.1383, 0.07105,
 )  # fmt: skip
 MAG = 2.5 / np.log(10.0)
+V_M = 550e-9
 
 
 def air_mass(sine: ArrayLike) -> Array:
@@ -73,6 +74,7 @@ class BandExtinction:
     wavelength_m (k,) : of each piece; scattered_mag, absorbed_mag (k,) : mag per air mass by
         scattering and by absorption; share (k,) : of the band's electrons from the Sun's light;
         extremes (m, k) : from other lights, of the bluest and the reddest stars
+    v_mag : mag per air mass in V, within the band or not
     """
 
     wavelength_m: Array
@@ -80,6 +82,7 @@ class BandExtinction:
     absorbed_mag: Array
     share: Array
     extremes: Array
+    v_mag: float
 
     def with_extremes(self, extremes: Array) -> BandExtinction:
         """The same with the shares of other lights."""
@@ -122,8 +125,9 @@ def band_extinction(
     share, none = share / share.sum(), np.empty((0, PIECES))
     if isinstance(mag, tuple):
         rayleigh, aerosol, ozone = coefficients(middle, *mag)
-        return BandExtinction(middle, rayleigh + aerosol, ozone, share, none)
-    return BandExtinction(middle, np.full(PIECES, mag), np.zeros(PIECES), share, none)
+        v_mag = float(sum(coefficients(V_M, *mag)))
+        return BandExtinction(middle, rayleigh + aerosol, ozone, share, none, v_mag)
+    return BandExtinction(middle, np.full(PIECES, mag), np.zeros(PIECES), share, none, mag)
 
 
 def band_pieces(response: ResponseCurve) -> list[ResponseCurve]:

@@ -21,7 +21,6 @@ PER_NANOLAMBERT = np.exp(-20.7233) / 34.08 * 10.0 ** (-0.4 * -SUN_V_MAG) / ARCSE
 PER_ERG = 10.0 ** (-0.4 * -SUN_V_MAG) / V_ZERO_ERG / ARCSEC2_SR
 FOOT_CANDLE = 10.0 ** (-0.4 * (16.57 + SUN_V_MAG))  # of sunlight at 1 au, likewise
 TWILIGHT_V = -26.74 + 11.05 + 32.5  # the Sun's V, the unit's zero point, a fit
-V_M = 550e-9
 USUAL_V_MAG = 0.2  # of extinction at the zenith, where a site's own is not known
 NEAREST_MOON_RAD = 5.0 * DEG_RAD
 AUREOLE_DEG = 8.449078007953648  # where equation 21 meets equation 20; published: 10
@@ -152,8 +151,7 @@ def twilight(
     height_deg = np.arcsin(sun_sine) / DEG_RAD
     zenith_deg = np.arccos(s) / DEG_RAD
     mass = 1.0 / (s + 0.025 * np.exp(-11.0 * s))
-    k = float(np.interp(V_M, extinction.wavelength_m, extinction.mag))
-    exponent = TWILIGHT_V - height_deg - zenith_deg / (360.0 * max(k, 0.05))
+    exponent = TWILIGHT_V - height_deg - zenith_deg / (360.0 * max(extinction.v_mag, 0.05))
     level = 10.0 ** (-0.4 * exponent) * 100.0 / np.maximum(apart_rad / DEG_RAD, 1.0)
     scattered = 1.0 - 10.0 ** (-0.4 * extinction.scattered_mag * mass[..., None])
     return PER_ERG * level * (scattered @ band.sun)

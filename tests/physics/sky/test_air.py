@@ -204,6 +204,19 @@ def test_twilight_off_the_zenith_is_the_published_formula(zenith, k):
     assert off / up == pytest.approx(by_hand, rel=1e-6)
 
 
+def test_twilight_of_a_band_is_that_of_its_halves():
+    """Its level is one of V, also where the band does not hold V: electrons of bands add up."""
+    low, apart = np.array([0.5]), np.array([1.0])
+
+    def light(short_nm, long_nm):
+        response = box(short_nm * 1e-9, long_nm * 1e-9)
+        extinction = band_extinction(SUN_W, SUN_E, response, (3055.0, 0.12, 1.3, 300.0))
+        sun = pieces_of(SUN_W, SUN_E, response)
+        return twilight(NightBand(0.0 * sun, sun, sun), extinction, low, -0.15, apart)[0]
+
+    assert light(500, 900) == pytest.approx(light(500, 700) + light(700, 900), rel=1e-3)
+
+
 def test_aerosols_dim_blue_more_and_high_sites_less():
     """k (lambda / 0.55 um)^-slope exp(-H / 1.5 km)."""
     aerosol = (sum(coefficients(440e-9, 2000.0, mag, 1.3, 0.0)) for mag in (0.2, 0.0))
@@ -223,7 +236,7 @@ def test_aerosols_scatter_and_ozone_absorbs():
 def test_stars_of_another_colour_are_dimmed_otherwise():
     """Two pieces: the largest difference in magnitude from the Sun's own loss, of two lights."""
     two = np.array([1.0, 1.0])
-    light = BandExtinction(two, np.array([0.5, 0.1]), 0.05 * two, 0.5 * two, np.empty((0, 2)))
+    light = BandExtinction(two, np.array([0.5, 0.1]), 0.05 * two, 0.5 * two, np.empty((0, 2)), 0.3)
     light = light.with_extremes(np.array([[0.9, 0.1], [0.3, 0.7]]))
     passed = 10.0 ** (-0.4 * np.array([0.55, 0.15]) * float(air_mass(0.5)))
     sun = passed.mean()
