@@ -377,7 +377,7 @@ SCENES: dict[str, Changes] = {
     "sky-of-space": sky(200.0, 10.0) | {
         "background": {"zodiacal": {"near_sun": "extrapolate"}, "galactic": True},
         "sensor.focal_length_m": 0.02, "exposure.integration_s": 0.5,
-        "observer": {"kind": "fixed", "position_au": [0.35, 0.94, 0.0]},
+        "observer": {"kind": "fixed", "position_au": [0.35, 0.86, 0.37]},
         "output.layers": ["dn", "background_e"],
     },
     "stray-light-of-a-table": sky(190.0, 10.0) | {

@@ -24,7 +24,12 @@ INNERMOST_RAD = 14.1 * DEG_RAD  # its innermost value stands at 14.11 degrees: 1
 NEAREST_RAD = 2.0 * DEG_RAD  # where the extrapolation ends: the Sun's corona begins
 FALL = 2.3  # towards the Sun in angle (fits the table's inner values), and with distance
 LEAST_AU, MOST_AU = 0.3, 3.0  # where the distance law was measured (Helios, Pioneer 10)
+# Above or below the dust's plane, as seen from the Sun; there the light differs by the table's own
+# error (dust falls as exp(-2.1 |sin|): Leinert et al. 1981).
+MOST_OFF_PLANE_RAD = 3.0 * DEG_RAD
 OBLIQUITY_RAD = 84_381.406 * ARCSEC_RAD  # J2000.0, IAU 2006
+_S, _C = np.sin(OBLIQUITY_RAD), np.cos(OBLIQUITY_RAD)
+ECLIPTIC = np.array([[1.0, 0.0, 0.0], [0.0, _C, _S], [0.0, -_S, _C]])  # its axes in ICRS
 REFERENCE_M, REFERENCE_HALF_M = 500e-9, 10e-9
 BLUE_NEAR, BLUE_FAR, RED_NEAR, RED_FAR = 1.2, 0.9, 0.8, 0.6  # slopes of equation 22
 NEAR_RAD, FAR_RAD = 30.0 * DEG_RAD, 90.0 * DEG_RAD  # elongations where they hold
@@ -78,11 +83,14 @@ def sun_coordinates(directions: Array, sun: Array) -> tuple[Array, Array, Array]
 
     directions : (n, 3) unit vectors, ICRS; sun : (3,) vector from the observer to the Sun
     """
-    s, c = np.sin(OBLIQUITY_RAD), np.cos(OBLIQUITY_RAD)
-    ecliptic = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
-    lon, lat = to_angles(directions @ ecliptic.T)
-    sun_lon, _ = to_angles(ecliptic @ sun)
+    lon, lat = to_angles(directions @ ECLIPTIC.T)
+    sun_lon, _ = to_angles(ECLIPTIC @ sun)
     return lon - sun_lon, lat, separation(directions, unit(sun)[None])
+
+
+def off_plane_rad(sun: Array) -> float:
+    """Angle of an observer above or below the ecliptic, as the Sun sees it; sun : (3,) likewise."""
+    return abs(float(to_angles(ECLIPTIC @ sun)[1]))
 
 
 def radiance_500(table: ZodiacalTable, longitude_rad: Array, latitude_rad: Array) -> Array:

@@ -178,6 +178,14 @@ class LightOfSky:
                 f"{z.LEAST_AU:g} to {z.MOST_AU:g} au for zodiacal light, whose fall with distance "
                 "is known there (or leave background.zodiacal out)",
             )
+        off_plane = z.off_plane_rad(sun_m)
+        if off_plane > z.MOST_OFF_PLANE_RAD:
+            raise BadInput(
+                "observer",
+                f"{off_plane / DEG_RAD:.3g} deg off the ecliptic, as seen from the Sun",
+                f"up to {z.MOST_OFF_PLANE_RAD / DEG_RAD:g} degrees for zodiacal light, whose dust "
+                "was measured from within its plane (or leave background.zodiacal out)",
+            )
         lon, lat, elongation = z.sun_coordinates(u, sun_m)
         _check_elongation(float(elongation.min()), background_of(self.scene).zodiacal)
         radiance = z.radiance_500(self.inputs.zodiacal, lon, lat) * z.distance_factor(distance)

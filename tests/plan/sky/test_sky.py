@@ -276,6 +276,10 @@ def test_solid_angle_of_a_wide_field(scene):
           "background": {"zodiacal": {"near_sun": "extrapolate"}, "uniform_e_per_s": 0.0}},
          "background.zodiacal", "2 degrees"),
         ({"observer": {"kind": "fixed", "position_au": [5.2, 0.0, 0.0]}}, "observer", "0.3 to 3"),
+        ({"observer": {"kind": "fixed", "position_au": [0.0, 0.918, 0.3]}}, "observer",
+         "5.[2-5][0-9]? deg off the ecliptic"),
+        ({"observer": {"kind": "fixed", "position_au": [0.0, -0.4, 0.92]}}, "observer",
+         "3 degrees"),
     ],
 )  # fmt: skip
 def test_refusals(scene, changes, field, said):
