@@ -41,7 +41,7 @@ def gather_stray_light(scene: Scene, request: StrayLight) -> StrayInputs:
         beyond: Literal["refuse", "zero", "clip"] = request.pst.beyond or (
             "zero" if reaches else "refuse"
         )
-        nearest = angle[0] if request.exclusion_deg is None else request.exclusion_deg
+        nearest = max(angle[0], request.exclusion_deg or 0.0)  # nearer, nothing was measured
         pst = PstTable(angle * DEG_RAD, value, nearest * DEG_RAD, request.inside, beyond)
         through = not request.pst.holds_transmission
     else:

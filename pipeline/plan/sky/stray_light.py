@@ -196,8 +196,8 @@ def _check(request: StrayLight, pst: Pst, name: str, angle: Array, across: float
         raise BadInput(
             FIELD,
             f"{nearest / DEG_RAD:.4g} deg from the field to the {name}",
-            f"{pst.exclusion_rad / DEG_RAD:g} degrees or more (exclusion_deg), or inside: "
-            "extrapolate or clip",
+            f"{pst.exclusion_rad / DEG_RAD:g} degrees or more (exclusion_deg, or where the "
+            "curve begins), or inside: extrapolate or clip",
         )
     _check_end(
         pst, farthest, f"angles up to {farthest / DEG_RAD:.4g} degrees, where the {name} stands"

@@ -50,7 +50,7 @@ class StrayLight(Strict):
         from -90 to 90 degrees of latitude, columns from -180 to 180 of longitude, equal cells, each
         value that of its cell's middle)
     exclusion_deg : least angle from a line of sight to a lit body; to the Earth's limb.
-        Default: the first angle of the curve's table, or 0
+        Default, and never less: the first angle of the curve's table; without a table 0
     inside : what happens at smaller angles: `refuse` the scene, `extrapolate` the curve, or `clip`
         it there
     """

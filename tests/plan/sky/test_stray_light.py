@@ -149,8 +149,9 @@ def test_a_site_on_the_ground_sees_no_disc(scene, curve):
         ({"sun": False, "moon": False, "exclusion_deg": 10.0}, at(170.0, 1.0), "in the field"),
         ({"exclusion_deg": 50.0, "moon": False, "earth": False}, at(60.0, 20.0), "to the Sun"),
         ({"moon": False, "earth": False}, at(26.6, 11.0), "the Sun in the field"),
+        ({"exclusion_deg": 0.5, "sun": False, "moon": False}, at(193.0, 0.0), "1 degrees or more"),
     ],
-    ids=["limb", "disc", "exclusion", "sun"],
+    ids=["limb", "disc", "exclusion", "sun", "nearer than the table"],
 )
 def test_refusals_of_directions(scene, curve, wish, pointing, said):
     table = {"pst": {"kind": "table", "path": curve}}
