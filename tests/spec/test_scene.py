@@ -414,6 +414,10 @@ EDGES: list[tuple[Data, Data, str]] = [
      "background.airglow"),
     (air(extinction=True), {"observer": GROUND | {"atmosphere": {"extinction": False}}},
      "observer.atmosphere"),
+    *((air(extinction={"mag_per_airmass": 0.2, "diffuse_share": 0.4}),
+       air(extinction={"mag_per_airmass": 0.2, name: 1.0}),
+       f"observer.atmosphere.extinction.{name}")
+      for name in ("aerosol_mag", "aerosol_slope", "ozone_dobson")),
     *(({"background": {"stray_light": {"pst": HARVEY} | {n: n == name for n in LAMPS}}},
        {"background": {"stray_light": {"pst": HARVEY} | dict.fromkeys(LAMPS, False)}},
        "background.stray_light")

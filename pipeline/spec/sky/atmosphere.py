@@ -26,6 +26,16 @@ class Extinction(Strict):
     ozone_dobson: float = Field(300.0, ge=0, le=1000)
     diffuse_share: Fraction = 0.5
 
+    @model_validator(mode="after")
+    def _one_law(self) -> Extinction:
+        """One coefficient leaves nothing to the standard atmosphere's parts."""
+        for name in ("aerosol_mag", "aerosol_slope", "ozone_dobson"):
+            usual = getattr(self, name) == type(self).model_fields[name].default
+            if self.mag_per_airmass is not None and not usual:
+                allowed = "allowed: without mag_per_airmass, which stands for all of the air"
+                raise PydanticCustomError("combination", allowed, {"field": name})
+        return self
+
 
 class Refraction(Strict):
     """Bending by the air; pressure and temperature default to the standard atmosphere's.
