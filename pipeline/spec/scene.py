@@ -34,6 +34,7 @@ LAYERS = (
     "calibrated_e",
 )
 USUAL_FRACTION = 0.05  # of its noise that a pixel may err by where a scene says nothing else
+HIGHEST_BELOW_AIRGLOW_M = 50_000  # its layer is at 90 km: up to here it errs by its own 50%
 CELL_PX = 256  # the fixed unit of the focal plane: tiles are unions of whole cells
 MAX_CATALOGUES, MAX_PATH = 8, 1024
 MOST_TARGETS = 100_000
@@ -262,6 +263,12 @@ class Scene(Strict):
         if not isinstance(o, GroundObserver):
             raise PydanticCustomError(
                 "air", "allowed: with an observer of kind ground, below the air", request
+            )
+        if b.airglow and o.height_m > HIGHEST_BELOW_AIRGLOW_M:
+            raise PydanticCustomError(
+                "air",
+                "allowed: at a site up to {most} m high, below the air that glows",
+                {"most": HIGHEST_BELOW_AIRGLOW_M, "field": "background.airglow"},
             )
         if names != ["airglow"] and not (o.atmosphere and o.atmosphere.extinction):
             request["field"] = f"background.{names[-1]}"

@@ -414,6 +414,9 @@ EDGES: list[tuple[Data, Data, str]] = [
      "background.airglow"),
     (air(extinction=True), {"observer": GROUND | {"atmosphere": {"extinction": False}}},
      "observer.atmosphere"),
+    ({"background": {"airglow": True}, "observer": GROUND | {"height_m": 50_000}},
+     {"background": {"airglow": True}, "observer": GROUND | {"height_m": 50_001}},
+     "background.airglow"),
     *((air(extinction={"mag_per_airmass": 0.2, "diffuse_share": 0.4}),
        air(extinction={"mag_per_airmass": 0.2, name: 1.0}),
        f"observer.atmosphere.extinction.{name}")
