@@ -35,6 +35,9 @@ LARGEST_TABLE_BYTES = 4_000_000
 # Filters of speclite that are tabulated as responses to energy: Bessell 1990, PASP 102, 1181, as
 # explained by Bessell & Murphy 2012, PASP 124, 140. All the others count photons.
 ENERGY_GROUPS = frozenset({"bessell"})
+# Those whose values have no scale of their own: scaled to a peak of one, as 2MASS publishes its own
+# (Cohen et al. 2003, AJ 126, 1090; the table's peak is 8e-5).
+RELATIVE_GROUPS = ENERGY_GROUPS | {"twomass"}
 
 Spectrum = tuple[str, Array, Array]
 NumberOrTable = float | str | Path
@@ -55,7 +58,8 @@ def resolve_response(
 
     A table is CSV with the columns wavelength_nm and value (a heading and # comments may come
     first), ascending, 0 to 1. It must cover the bandpass or end in zero. The Gaia and most
-    survey filters hold optics and detector already; Bessell's are relative to their peak.
+    survey filters hold optics and detector already; Bessell's and 2MASS's are
+    relative to their peak.
     BadInput names the field, e.g. sensor.bandpass.name.
     """
     band, name = _bandpass(bandpass, base)
@@ -200,27 +204,33 @@ def filter_folder() -> Path:
 def named_filter(name: str) -> ResponseCurve:
     """A filter of speclite by name (gaiadr2-G, bessell-V, sdss2010-r...), per photon.
 
-    Responses to energy are divided by the wavelength and scaled back to a peak of one.
+    Responses to energy are divided by the wavelength; relative ones are scaled to a peak of one.
     BadInput with the nearest names where there is none.
     """
+    text = _filter_text(name)
+    body = [line.split() for line in text.splitlines() if line and not line.startswith("#")][1:]
+    unit = re.search(r"^#.*?unit: ['\"]?(Angstrom|nm|um|micron)\b", text, re.MULTILINE)
+    if unit is None or any(len(row) != 2 for row in body):
+        raise Damaged(
+            str(filter_folder() / f"{name}.ecsv"), "no wavelength unit or not two columns"
+        )
+    table = np.array(body, dtype=np.float64)
+    metres = {"Angstrom": 1e-10, "nm": 1e-9, "um": 1e-6, "micron": 1e-6}[unit[1]]
+    wavelength, value = table[:, 0] * metres, np.maximum(table[:, 1], 0.0)
+    group = name.split("-")[0]
+    value = value / wavelength if group in ENERGY_GROUPS else value
+    value = value / value.max() if group in RELATIVE_GROUPS else value
+    return ResponseCurve(wavelength, value)
+
+
+def _filter_text(name: str) -> str:
     folder = filter_folder()
     names = sorted(path.stem for path in folder.glob("*.ecsv"))
     if name not in names:
         near = difflib.get_close_matches(name[:60], names, n=3, cutoff=0.4)
         allowed = f"a filter of speclite, e.g. {', '.join(near or ['gaiadr2-G', 'bessell-V'])}"
         raise BadInput("sensor.bandpass.name", name, allowed)
-    text = (folder / f"{name}.ecsv").read_text(encoding="utf-8")
-    body = [line.split() for line in text.splitlines() if line and not line.startswith("#")][1:]
-    unit = re.search(r"^#.*?unit: ['\"]?(Angstrom|nm|um|micron)\b", text, re.MULTILINE)
-    if unit is None or any(len(row) != 2 for row in body):
-        raise Damaged(str(folder / f"{name}.ecsv"), "no wavelength unit or not two columns")
-    table = np.array(body, dtype=np.float64)
-    metres = {"Angstrom": 1e-10, "nm": 1e-9, "um": 1e-6, "micron": 1e-6}[unit[1]]
-    wavelength, value = table[:, 0] * metres, np.maximum(table[:, 1], 0.0)
-    if name.split("-")[0] in ENERGY_GROUPS:
-        value = value / wavelength
-        value = value / value.max()
-    return ResponseCurve(wavelength, value)
+    return (folder / f"{name}.ecsv").read_text(encoding="utf-8")
 
 
 def solar_spectrum() -> tuple[Array, Array, str, str]:
