@@ -58,7 +58,7 @@ def resolve_response(
 
     A table is CSV with the columns wavelength_nm and value (a heading and # comments may come
     first), ascending, 0 to 1. It must cover the bandpass or end in zero. The Gaia and most
-    survey filters hold optics and detector already; Bessell's and 2MASS's are
+    survey filters hold optics and detector already (`filter_facts`); Bessell's and 2MASS's are
     relative to their peak.
     BadInput names the field, e.g. sensor.bandpass.name.
     """
@@ -221,6 +221,13 @@ def named_filter(name: str) -> ResponseCurve:
     value = value / wavelength if group in ENERGY_GROUPS else value
     value = value / value.max() if group in RELATIVE_GROUPS else value
     return ResponseCurve(wavelength, value)
+
+
+def filter_facts(name: str) -> tuple[float, float]:
+    """What a filter of speclite holds: its largest value, which is that of a whole instrument where
+    it is below one, and the air masses of its site's atmosphere (0: none)."""
+    air = re.search(r"\bairmass: ?([\d.]+)", _filter_text(name))
+    return float(named_filter(name).value.max()), float(air[1]) if air else 0.0
 
 
 def _filter_text(name: str) -> str:
