@@ -14,7 +14,12 @@ from pipeline.inputs.band.response import gather_band_light, gather_response
 from pipeline.inputs.earth_orientation import gather_dut1_s, gather_turn_off_rad
 from pipeline.inputs.sensor.psf_tables import gather_psf_table
 from pipeline.inputs.sensor.sensor import flat_remarks, gather_sensor_maps
-from pipeline.inputs.stars.catalogues import catalogue_remarks, colour_sentences, open_catalogues
+from pipeline.inputs.stars.catalogues import (
+    catalogue_remarks,
+    colour_sentences,
+    open_catalogues,
+    undrawn_remarks,
+)
 from pipeline.inputs.stars.coverage import coverage_sentences, gather_coverage
 from pipeline.inputs.stars.stars import Catalogue
 from pipeline.physics.colour import ColourFit
@@ -146,6 +151,7 @@ def resolve(asked: Scene) -> Resolved:
             *light.remarks,
             *doubts.remarks,
             *remarks,
+            *undrawn_remarks(asked, facts, light.colour),
             *flat_remarks(scene, maps),
             *hurried_remarks(scene, g, near_frame(scene, g)),
             *mesh_notices(scene),

@@ -243,6 +243,10 @@ def test_stars_below_the_limit_are_not_drawn(few, tmp_path):
     read = [plan_scene(few({"stars.faintest_g_mag": g})) for g in (8.0, 12.0)]
     assert [plan["star_rows_to_read"] > 0 for plan in read] == [False, True]
     assert read[0]["shards"] == 0
+    asked = plan_scene(few({"stars.faintest_g_mag": 8.0, "background": {"starlight": "all"}}))
+    left_out = [sum("neither drawn nor in the sky" in r for r in p["remarks"])
+                for p in (*read, asked)]  # fmt: skip
+    assert left_out == [1, 1, 0]
 
 
 SECTIONS = ("stars", "targets", "background", "cosmic_rays")

@@ -10,9 +10,14 @@ import numpy as np
 
 from catalog_tools.catalogue import Catalogue, open_catalogue
 from catalog_tools.documents import JsonObject
+from catalog_tools.star_counts import all_sky_count
 from pipeline.errors import BadInput
 from pipeline.inputs.band.colour_fit import default_colour_error_mag
+from pipeline.physics.colour import colour_correction_mag
 from pipeline.plan.decision import Decision
+from pipeline.plan.facts import Facts
+from pipeline.plan.timing import integration_range_s
+from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
     from catalog_tools.geometry.regions import Cone
@@ -21,6 +26,7 @@ if TYPE_CHECKING:
 FIELD = "stars.catalogue"
 BRIGHT_END_G_MAG = 2.0
 MANY = 0.5  # of a catalogue's stars without a colour are a warning
+COUNTS_END_G_MAG = 21.0
 GAP_G_MAG = 0.5  # stars missing over a smaller range are not worth a remark
 
 
@@ -139,6 +145,32 @@ def catalogue_remarks(
         who = "the catalogue {}s" if len(catalogues) == 1 else "the catalogues {}"
         out += _gaps(who, spans, faintest_g_mag)
     return tuple(out)
+
+
+def undrawn_remarks(scene: Scene, facts: Facts, fit: ColourFit | None) -> list[str]:
+    """What is said of stars beyond the limit that a scene gives, whose light it does not ask for,
+    where that is more than the accuracy; scene : as asked, facts : with its sky."""
+    limit, b = scene.stars.faintest_g_mag if scene.stars else None, scene.background
+    if limit is None or fit is None or (b is not None and b.starlight == "all"):
+        return []
+    mag = float(colour_correction_mag(np.array([fit.default_colour]), fit)[0])
+    pixel_m2_sr = facts.area_m2 * facts.ifov_rad**2 * scene.sensor.fill_factor
+    rate = fit.zero_electrons_s_m2 * 10.0 ** (-0.4 * mag) * mean_light(limit) * pixel_m2_sr
+    light_e = rate * integration_range_s(scene)[1]
+    if light_e <= scene.accuracy.noise_fraction * facts.sigma_floor_e:
+        return []
+    return [
+        f"stars beyond G = {limit:g} (stars.faintest_g_mag) are neither drawn nor in the sky: "
+        f"{light_e:.3g} e- per pixel on the mean of the whole sky, some 3 times that in the Milky "
+        "Way (background.starlight: all adds them)"
+    ]
+
+
+def mean_light(limit_g_mag: float) -> float:
+    """Light per sr of the stars beyond a limit, the mean of the whole sky; a star of G = 0 is 1."""
+    g = np.linspace(limit_g_mag, max(limit_g_mag, COUNTS_END_G_MAG), 401)
+    middle = 0.5 * (g[1:] + g[:-1])
+    return float(np.diff(all_sky_count(g)) @ 10.0 ** (-0.4 * middle)) / (4.0 * math.pi)
 
 
 def _gaps(who: str, spans: list[tuple[float, float]], faintest_g_mag: float | None) -> list[str]:

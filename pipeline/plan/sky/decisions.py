@@ -41,8 +41,8 @@ RULES = (
     ),
     Rule(
         ("stars.faint", "stars.layer_*"),
-        "stars below the limit (given, or where the sum of all fainter ones is below a part of "
-        "the noise) become smooth light; in layers each star is drawn once",
+        "stars below the limit (given, with starlight: all, or where the sum of all fainter "
+        "ones is below a part of the noise) become smooth light; in layers each star is drawn once",
         "tests/plan/sky/test_sky.py",
         _faint_stars,
     ),

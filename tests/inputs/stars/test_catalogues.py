@@ -17,6 +17,7 @@ from pipeline.inputs.stars.catalogues import (
     catalogue_remarks,
     colour_sentences,
     gather_left_out,
+    mean_light,
 )
 from pipeline.physics.colour import ColourFit
 from pipeline.plan.coverage import FieldCoverage
@@ -175,3 +176,14 @@ def test_what_the_default_colour_may_cost_either_way(slope):
     """At most at the reddest star, whether it is brighter or fainter in the band."""
     fit = ColourFit("b", np.array([0.0, slope]), (-1.0, 5.0), 0, 0, 1.44, 0.5, 0, 1e10, "s", 1)
     assert default_colour_error_mag(fit)[1] == pytest.approx(0.1 * (4.09 - 1.44))
+
+
+def test_light_beyond_a_limit_is_that_of_the_counts_the_sky_over():
+    """The mean of what `CountedLight` has in directions that are even over the sky."""
+    k = np.arange(3000) + 0.5
+    z, turn = 1.0 - 2.0 * k / k.size, np.pi * (1.0 + 5.0**0.5) * k
+    level = np.sqrt(1.0 - z**2)
+    sky = np.stack([level * np.cos(turn), level * np.sin(turn), z], axis=1)
+    for limit in (6.0, 12.0, 18.0, 21.0, 25.0):
+        counted = CountedLight().fainter(limit, sky).g.mean()
+        assert mean_light(limit) == pytest.approx(counted, rel=0.1)
