@@ -49,8 +49,13 @@ def _cosmic_rays(scene: Scene) -> Decision:
         )
     if rays.rate_per_cm2_s == 0.0:
         return Decision("cosmic_rays", False, "rate_per_cm2_s is 0", 0.0, 0.0)
-    high = rays.source == "space" and isinstance(scene.observer, GroundObserver)
-    where = "space, though the observer is on the ground: source: ground" if high else rays.source
+    here, place = (
+        ("ground", "on the ground")
+        if isinstance(scene.observer, GroundObserver)
+        else ("space", "in space")
+    )
+    elsewhere = f"{rays.source}, though the observer is {place}: source: {here}"
+    where = rays.source if rays.source == here else elsewhere
     return Decision(
         "cosmic_rays",
         True,

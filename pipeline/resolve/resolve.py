@@ -28,6 +28,7 @@ from pipeline.physics.radiometry import ResponseCurve
 from pipeline.plan.coverage import FieldCoverage
 from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.optics.optics import check_motion
+from pipeline.plan.pointing.air import weather_remarks
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
 from pipeline.plan.pointing.paths import near_frame
 from pipeline.plan.pointing.site import turn_warnings
@@ -153,6 +154,7 @@ def resolve(asked: Scene) -> Resolved:
             *remarks,
             *undrawn_remarks(asked, facts, light.colour),
             *flat_remarks(scene, maps),
+            *weather_remarks(scene),
             *hurried_remarks(scene, g, near_frame(scene, g)),
             *mesh_notices(scene),
             *shared_remarks(scene),

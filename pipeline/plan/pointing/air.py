@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 USUAL_WAVELENGTH_M = 550e-9  # where the scene's own is not worked out yet
+MOST_WEATHER = 0.1  # by which pressure differs from the standard atmosphere's: extremes of records
 LOWEST_REFRACTED_DEG = 3.0  # below, the law of refraction is not known
 
 
@@ -78,6 +79,23 @@ def weather_of(scene: Scene) -> tuple[float, float, float]:
         temperature if request.temperature_c is None else request.temperature_c,
         request.humidity,
     )
+
+
+def weather_remarks(scene: Scene) -> list[str]:
+    """What is said of a pressure that is hardly that of the site."""
+    o = scene.observer
+    request = _refraction(scene) if isinstance(o, GroundObserver) else None
+    if request is None or not isinstance(o, GroundObserver):
+        return []
+    usual = standard_air(o.height_m)[0]
+    given = usual if request.pressure_hpa is None else request.pressure_hpa
+    if abs(given - usual) <= MOST_WEATHER * usual:
+        return []
+    return [
+        f"observer.atmosphere.refraction.pressure_hpa: {given:g} hPa is {given / usual:.2f} times "
+        f"what the standard atmosphere has at {o.height_m:g} m, and so is refraction: it is the "
+        "pressure at the site, not that reduced to sea level"
+    ]
 
 
 def _refraction(scene: Scene) -> Refraction | None:

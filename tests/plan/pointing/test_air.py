@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.positions.refraction import standard_air
-from pipeline.plan.pointing.air import frame_sines, weather_of
+from pipeline.plan.pointing.air import frame_sines, weather_of, weather_remarks
 from pipeline.spec.pointing.observer import GroundObserver
 
 
@@ -30,6 +31,22 @@ def test_each_number_by_itself(given: dict[str, float]) -> None:
         given.get("pressure_hpa", pressure), given.get("temperature_c", temperature),
         given.get("humidity", usual),
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("hpa", "told"),
+    [(None, ""), (700.0, ""), (1013.25, "1.4[56] times"), (520.0, "0.7[45] times")],
+)
+def test_a_pressure_of_another_place_or_unit_is_told(hpa: float | None, told: str) -> None:
+    """At 3055 m, where ISO 2533 has 696 hPa: one reduced to sea level, and one in mmHg."""
+    site: Any = GroundObserver.model_validate(
+        {"kind": "ground", "latitude_deg": 20.0, "longitude_deg": 0.0, "height_m": 3055.0,
+         "atmosphere": {"refraction": {"pressure_hpa": hpa}}}
+    )  # fmt: skip
+    scene: Any = type("Scene", (), {"observer": site})()
+    remarks = weather_remarks(scene)
+    assert len(remarks) == bool(told)
+    assert all(re.search(told, remark) for remark in remarks)
 
 
 @pytest.mark.parametrize("shape", [(400, 100), (100, 400)])
