@@ -235,3 +235,11 @@ def test_parts_of_the_night_sky_add_up(tmp_path):
     low, high = np.sum(spans, axis=0)
     assert 0.99 * low <= image.min() <= image.max() <= 1.01 * high
     assert min(s[0] for s in spans[:3]) > 0.0
+
+
+@pytest.mark.parametrize(("ends_nm", "told"), [((557.0, 558.5), True), ((500.0, 600.0), False)])
+def test_a_band_narrower_than_the_airglows_boxes_is_told(ends_nm, told):
+    data = copy.deepcopy(SCENE) | {"background": {"airglow": True}}
+    data["sensor"]["bandpass"] = {"kind": "box", "short_nm": ends_nm[0], "long_nm": ends_nm[1]}
+    said = {d["component"]: d["reason"] for d in plan_scene(parse_scene(data))["decisions"]}
+    assert ("up to 5.3 times as bright" in said["background.airglow"]) == told

@@ -9,7 +9,13 @@ from pipeline.inputs.band.curves import solar_spectrum
 from pipeline.inputs.reference import airglow as published
 from pipeline.physics.radiometry import ResponseCurve
 from pipeline.physics.sky.moon import spectrum
-from pipeline.physics.sky.night import NightBand, airglow_pieces, pieces_of, solar_activity
+from pipeline.physics.sky.night import (
+    NightBand,
+    airglow_pieces,
+    gathered_lines,
+    pieces_of,
+    solar_activity,
+)
 from pipeline.spec.sky.background import Airglow, Background
 
 
@@ -18,7 +24,7 @@ def gather_night(request: Background, response: ResponseCurve) -> NightBand:
     wavelength, irradiance, _, _ = solar_spectrum()
     sun = pieces_of(wavelength, irradiance, response)
     moon = pieces_of(wavelength, spectrum(wavelength, irradiance), response)
-    glow = np.zeros(len(sun))
+    glow, gathered = np.zeros(len(sun)), 1.0
     if isinstance(request.airglow, Airglow):
         edges = np.array(published.EDGES_NM, float)
         ends = response.wavelength_m[[0, -1]] * 1e9
@@ -29,5 +35,6 @@ def gather_night(request: Background, response: ResponseCurve) -> NightBand:
                 f"a band within {edges[0]:g} to {edges[-1]:g} nm, where airglow is known",
             )
         activity = solar_activity(request.airglow.solar_flux_sfu, published.SOLAR_FLUX_SFU)
-        glow = airglow_pieces(edges * 1e-9, np.array(published.ZENITH), response, activity)
-    return NightBand(glow, sun, moon)
+        table = edges * 1e-9, np.array(published.ZENITH), response
+        glow, gathered = airglow_pieces(*table, activity), gathered_lines(*table)
+    return NightBand(glow, sun, moon, gathered)

@@ -32,11 +32,14 @@ class NightBand:
 
     airglow : electrons/s/m2/sr at the zenith; sun, moon : electrons/s/m2 of sunlight at 1 au, and
     of moonlight as strong in V
+    gathered : times that the band's airglow may be brighter, where lines within it hold all the
+        light of the table's boxes that it touches
     """
 
     airglow: Array
     sun: Array
     moon: Array
+    gathered: float = 1.0
 
 
 def airglow_pieces(
@@ -54,6 +57,15 @@ def airglow_pieces(
     energy = np.repeat(per_m, 2) / w  # photon_integral multiplies by lambda / (h c)
     energy *= PLANCK_J_S * SPEED_OF_LIGHT_M_S
     return np.array([photon_integral(w, energy, part) for part in band_pieces(response)])
+
+
+def gathered_lines(edges_m: Array, zenith: Array, response: ResponseCurve) -> float:
+    """Most light of boxes (as of `airglow_pieces`) in a response over what their means have there:
+    all of each box that it touches, through its peak."""
+    ends = response.wavelength_m[[0, -1]]
+    touched = (edges_m[1:] > ends[0]) & (edges_m[:-1] < ends[1])
+    most = response.value.max() * float(np.sum((zenith * np.diff(edges_m) * 1e6)[touched]))
+    return most / (ARCSEC2_SR * float(airglow_pieces(edges_m, zenith, response, 1.0).sum()))
 
 
 def solar_activity(flux_sfu: float, reference_sfu: float) -> float:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+MOST_GATHERED = 1.5  # as a night differs from another
+
 
 def dimmed(
     scene: Scene,
@@ -99,11 +101,17 @@ def _moon_share(place: Array, sun: Array, moon: Array) -> float:
     return share * float(sunlit_past_earth(moon[None], sun)[0])
 
 
-def night_told(scene: Scene, ends: list[dict[str, Array]]) -> list[Decision]:
-    """What the air sends, and how well it is known; ends : e-/s and pixel of two frames."""
+def night_told(scene: Scene, ends: list[dict[str, Array]], gathered: float) -> list[Decision]:
+    """What the air sends, and how well it is known; ends : e-/s and pixel of two frames;
+    gathered : of the NightBand."""
+    narrow = (
+        "; lines are spread over boxes of 8 to 100 nm: with one in so narrow a band it is up to "
+        f"{gathered:.2g} times as bright, without it fainter"
+    )
     known = {
         "airglow": "zenith of the Paranal sky model (Noll et al. 2012) in the band, a layer at 90 "
-        "km (van Rhijn), the Sun's activity as given; a night differs by 50%",
+        "km (van Rhijn), the Sun's activity as given; a night differs by 50%"
+        + (narrow if gathered > MOST_GATHERED else ""),
         "moonlight": "Krisciunas & Schaefer 1991 with the band's own extinction (23% in V); one "
         "scattering law for all wavelengths",
         "twilight": "Schaefer 1993 (a magnitude); fainter than the night sky beyond 18 degrees",

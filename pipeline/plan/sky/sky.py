@@ -278,7 +278,7 @@ def _parts_told(light: LightOfSky, g: Geometry) -> list[Decision]:
     if g.has_air:
         from pipeline.plan.sky.night import night_told
 
-        out += night_told(light.scene, ends)
+        out += night_told(light.scene, ends, inputs.night.gathered if inputs.night else 1.0)
     return out
 
 

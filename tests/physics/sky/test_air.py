@@ -31,6 +31,7 @@ from pipeline.physics.sky.night import (
     NightBand,
     airglow,
     airglow_pieces,
+    gathered_lines,
     moonlight,
     moonlight_zenith_v_mag,
     pieces_of,
@@ -110,6 +111,26 @@ def test_airglow_in_the_band(shared_data):
     v = named_filter("bessell-V")
     light = airglow_pieces(edges, np.array(published.ZENITH), v, 1.0).sum() * ARCSEC2_SR
     assert -2.5 * np.log10(light / ab_photon_rate(0.0, v)) == pytest.approx(22.2, abs=0.4)
+
+
+def test_narrow_bands_of_airglow_are_told_by_how_much_lines_may_gather():
+    """Of a box of 8 nm that holds a line, 1.5 nm; a wide band holds all of its boxes."""
+    edges, zenith = np.array([500.0, 554.0, 562.0, 600.0]) * 1e-9, np.array([80.0, 625.0, 120.0])
+    gathered = [gathered_lines(edges, zenith, box(a * 1e-9, b * 1e-9))
+                for a, b in ((557.0, 558.5), (500.0, 600.0), (550.0, 555.0))]  # fmt: skip
+    assert gathered == pytest.approx([8 / 1.5, 1.0, (80 * 54 + 625 * 8) / (80 * 4 + 625)], rel=2e-3)
+
+
+def test_lines_of_airglow_gather_by_no_more_than_is_told(shared_data):
+    path = shared_data / "sky_spectra" / "eso_skycalc_airglow_130sfu.dat"
+    nm, photons = np.loadtxt(path).T
+    edges, zenith = np.array(published.EDGES_NM) * 1e-9, np.array(published.ZENITH)
+    for a, b in ((557.0, 558.5), (629.0, 631.0), (588.5, 590.0), (860.0, 870.0), (500.0, 600.0)):
+        response = box(a * 1e-9, b * 1e-9)
+        fine = np.union1d(nm[(nm > a) & (nm < b)], [a, b])
+        exact = np.trapezoid(np.interp(fine, nm, photons), fine) * 1e-3
+        found = airglow_pieces(edges, zenith, response, 1.0).sum() * ARCSEC2_SR
+        assert exact <= 1.03 * found * gathered_lines(edges, zenith, response)
 
 
 def test_airglow_brightens_towards_the_horizon():
