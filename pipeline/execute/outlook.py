@@ -12,6 +12,7 @@ from pipeline.execute.sources import place_targets, streaks
 from pipeline.execute.truth import matched_snr, target_magnitudes
 from pipeline.physics.motion.streak import POINT
 from pipeline.plan.plan import Plan
+from pipeline.plan.pointing.air import star_transmission
 from pipeline.plan.pointing.geometry import plan_geometry
 
 SNR_AT_LIMIT = 5.0
@@ -41,7 +42,7 @@ def outlook(plan: Plan) -> JsonObject:
             now = {"name": name, "frame": int(frame), "v_mag": float(mags[name]), "snr": snr}
             kept = now if snr > before["snr"] else before
             best[name] = kept | {"frames": before["frames"] + 1}
-        time_s = plan.integration_s(int(frame))
+        time_s = clear_time_s(plan, g)
         if plan.colour is not None and time_s > 0.0:  # a bias frame sees nothing
             limits.append(limiting_mag(plan, limiting_light_e(plan, g), time_s))
     return {
@@ -86,8 +87,18 @@ def limiting_light_e(plan: Plan, g: Geometry) -> float:
     return float(np.exp(np.interp(math.log(SNR_AT_LIMIT), np.log(snr), np.log(light))))
 
 
+def clear_time_s(plan: Plan, g: Geometry) -> float:
+    """Time in which a star in the middle of the field would send above the air what it sends
+    through it in the one frame of `g` [s]; 0 for a bias frame."""
+    time_s = plan.integration_s(int(g.frame[0]))
+    if plan.extinction is None:
+        return time_s
+    return time_s * float(star_transmission(plan.extinction, g, g.attitude[0, [g.middle], 2])[0])
+
+
 def limiting_mag(plan: Plan, light_e: float, time_s: float) -> float | None:
-    """Gaia's G of a star of no colour that sends so much light in an exposure, if any does."""
+    """Gaia's G of a star of no colour that sends so much light in a time above the air, if any
+    does."""
     if plan.colour is None or not light_e < math.inf:
         return None
     zero_e = plan.colour.zero_electrons_s_m2 * plan.facts.area_m2 * time_s

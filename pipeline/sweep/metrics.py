@@ -13,7 +13,7 @@ from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, Geometry, SensorMaps
 from pipeline.execute.detector import tile_chain
 from pipeline.execute.light import draw_targets
-from pipeline.execute.outlook import limiting_light_e, limiting_mag, target_snr
+from pipeline.execute.outlook import clear_time_s, limiting_light_e, limiting_mag, target_snr
 from pipeline.execute.sources import FrameTarget, place_targets
 from pipeline.physics.detection import filtered, peak_near
 from pipeline.physics.noise.chain import calibrated_e
@@ -60,7 +60,7 @@ class Measurement:
         self._saturated, self._pixels = 0, 0
         self._peaks: dict[str, list[float]] = {name: [] for name in names}
         self._snr: dict[str, list[float]] = {name: [] for name in names}
-        self._limits: list[tuple[float, float]] = []  # light [e-], integration time [s]
+        self._limits: list[tuple[float, float]] = []  # light [e-], time above the air [s]
         self._windows: list[tuple[str, TargetWindow]] = []
 
     def begin_frame(self, g: Geometry, windows: list[tuple[str, TargetWindow]]) -> None:
@@ -70,7 +70,7 @@ class Measurement:
             for name, snr in target_snr(self.plan, g, self.names).items():
                 self._snr[name].append(snr)
         if "limiting_magnitude" in self.metrics:
-            time_s = self.plan.integration_s(int(g.frame[0]))
+            time_s = clear_time_s(self.plan, g)
             if time_s > 0.0:  # a bias frame sees nothing
                 self._limits.append((limiting_light_e(self.plan, g), time_s))
 

@@ -138,6 +138,17 @@ def test_elevations_against_astropy(catalogue, tmp_path):
     np.testing.assert_array_equal(truth["g_mag"], above["g_mag"])
 
 
+def test_the_faintest_star_told_is_fainter_above_the_air(catalogue):
+    """By 0.3 mag for each air mass (Kasten & Young 1989) at astropy's elevation."""
+    limits = []
+    for air in ({"extinction": {"mag_per_airmass": mag}} for mag in (0.0, 0.3)):
+        s = scene_of(catalogue, observer=SITE | {"atmosphere": air})
+        limits.append(plan_scene(s)["outlook"]["limiting_g_mag"])
+    up = float(altaz(300.0, 5.0, "2019-04-20T11:00:05", 0.0).alt.deg)
+    mass = 1.0 / (np.sin(np.radians(up)) + 0.50572 * (up + 6.07995) ** -1.6364)
+    assert limits[0] - limits[1] == pytest.approx(0.3 * mass, abs=0.01)
+
+
 def test_a_tracked_target_stays_in_the_centre_and_fades(tmp_path):
     """A rate track through air: the target at the centre, its light less the extinction, its place
     in the truth the one that the frame's WCS names there."""
