@@ -41,6 +41,7 @@ ARCSEC_RAD = math.radians(1.0 / 3600.0)
 SMALLEST_Q, LARGEST_Q = 0.02, 64.0
 LARGEST_CORE_PX = 256.0
 LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
+FASTEST_F_NUMBER = 0.5
 MOST_BLUR_PX = 50.0  # rms per axis, of fast motion of the pointing and of charge diffusion
 
 
@@ -251,6 +252,19 @@ def open_past_vanes(s: Sensor) -> float:
 def _vanes(s: Sensor, given: Vanes) -> SpiderVanes:
     """Vanes in units of the aperture and radians."""
     return SpiderVanes(given.count, given.width_m / s.aperture_m, math.radians(given.angle_deg))
+
+
+def optics_remarks(scene: Scene) -> list[str]:
+    """What is said of a pupil that sends its light from more than half the sky (sine condition)."""
+    s = scene.sensor
+    f_number = s.focal_length_m / s.aperture_m
+    if f_number >= FASTEST_F_NUMBER:
+        return []
+    return [
+        f"sensor.aperture_m: {s.aperture_m:g} m over a focal length of {s.focal_length_m:g} m is "
+        f"F/{f_number:.2g}; no optics in air is faster than F/{FASTEST_F_NUMBER:g}: a sky gives "
+        f"{(FASTEST_F_NUMBER / f_number) ** 2:.3g} times what any could collect"
+    ]
 
 
 def missing_light(optics: Optics) -> float:

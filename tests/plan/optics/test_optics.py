@@ -16,7 +16,7 @@ from pipeline.physics.psf.sampled import sampled
 from pipeline.physics.psf.seeing import Kolmogorov, Moffat
 from pipeline.physics.radiometry import box, collecting_area_m2
 from pipeline.plan.facts import Facts, gather_facts
-from pipeline.plan.optics.optics import describe
+from pipeline.plan.optics.optics import describe, optics_remarks
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry
 from pipeline.plan.response.responses import plan_responses
 from pipeline.spec.scene import Scene
@@ -28,6 +28,16 @@ IFOV = 10e-6
 
 def facts_of(s: Scene, **more: Any) -> Facts:
     return gather_facts(s, box(400e-9, 900e-9), 0.0, 5.0, 1.0, **more)
+
+
+@pytest.mark.parametrize(
+    ("aperture_m", "times"), [(0.2, ""), (2.0, ""), (2.02, "1.02 times"), (20.0, "100 times")]
+)
+def test_apertures_that_no_optics_has_are_told(scene: Make, aperture_m: float, times: str) -> None:
+    """Of 1 m of focal length: a pixel sees at most pi of the sky's radiance, that of F/0.5."""
+    told = optics_remarks(scene({"sensor.aperture_m": aperture_m}))
+    assert len(told) == bool(times)
+    assert all(f"{times} what any could collect" in sentence for sentence in told)
 
 
 def test_airy_over_its_band_as_the_accuracy_asks(scene: Make) -> None:
