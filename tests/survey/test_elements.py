@@ -108,7 +108,8 @@ def test_a_light_curve_is_a_sphere(tmp_path: Path, by: str) -> None:
                             "phase_deg": 70.0, "phase_law": "lambert"}  # fmt: skip
     found, _ = gathered(tmp_path, lines_of(1, 110.0, "A"), body=body)
     assert found.reflecting_m2[0] == pytest.approx(0.25 * 9.0, rel=1e-9)
-    for wrong in ({by: [value, value + 1.0]}, {"phase_law": "as_given"}):
+    as_given = {"phase_law": "as_given", "phase_deg": 0.0}
+    for wrong in ({by: [value, value + 1.0]}, as_given):
         with pytest.raises(BadInput, match=r"body.kind.*light_curve of one value with phase_law"):
             gathered(tmp_path, lines_of(1, 110.0, "A"), body=body | wrong)
 

@@ -303,6 +303,18 @@ class LightCurveBody(Strict):
             )
         return self
 
+    @model_validator(mode="after")
+    def _nothing_is_idle(self) -> LightCurveBody:
+        idle = {}
+        if self.magnitudes is None:
+            idle = dict.fromkeys(("range_m", "sun_mag"), "allowed: with magnitudes")
+        if self.phase_law == "as_given":
+            idle["phase_deg"] = "allowed: with phase_law: lambert or linear"
+        for name, allowed in idle.items():
+            if getattr(self, name) != type(self).model_fields[name].default:
+                raise PydanticCustomError("idle", "{allowed}", {"field": name, "allowed": allowed})
+        return self
+
 
 Body = Annotated[
     SphereBody
