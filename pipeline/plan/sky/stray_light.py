@@ -86,12 +86,7 @@ def stray_parts(
     sun = earth.sun_from_earth_m[0]
     pixel_m2 = (scene.sensor.pixel_pitch_um * 1e-6) ** 2 * scene.sensor.fill_factor
     out: dict[str, Array] = {}
-    lamps = {}
-    if request.sun:
-        lamps["Sun"] = _sun(inputs, place, sun)
-    if request.moon:
-        lamps["Moon"] = _moon(inputs, place, sun, moon_m(*tt)[0])
-    for name, lamp in lamps.items():
+    for name, lamp in _lamps(request, inputs, place, sun, tt).items():
         if extinction is not None and g.has_air:
             passed = extinction.transmission(lamp.towards @ g.air[f, node, :3])
             lamp = replace(lamp, irradiance=lamp.irradiance * float(passed))
@@ -105,6 +100,18 @@ def stray_parts(
             turn = gcrs_to_itrs(instants(parse_utc(scene.epoch), g.offset_s[f, node], dut1_s))[0]
         out["earth"] = _earth(request, inputs, turn, place, sun, u, checked) * pixel_m2
     return out
+
+
+def _lamps(
+    request: StrayLight, inputs: StrayInputs, place: Array, sun: Array, tt: tuple[Array, Array]
+) -> dict[str, _Body]:
+    """Sun and Moon, where they are asked for."""
+    lamps = {}
+    if request.sun:
+        lamps["Sun"] = _sun(inputs, place, sun)
+    if request.moon:
+        lamps["Moon"] = _moon(inputs, place, sun, moon_m(*tt)[0])
+    return lamps
 
 
 def _sun(inputs: StrayInputs, place: Array, sun: Array) -> _Body:
