@@ -70,7 +70,10 @@ def read_text(path: Path, field: str, largest: int) -> str:
 
 
 def mean_elements(fields: JsonObject, key: str, field: str) -> JsonObject:
-    """The elements of one message, as `omm.elements` takes them; `key` names it in messages."""
+    """The elements of one message, as `omm.elements` takes them; `key` names it in messages.
+
+    Without BSTAR (SGP4-XP gives BTERM) a set would be carried on without drag.
+    """
     for name, allowed in _EXPECTED.items():
         value = fields.get(name)
         if value not in (None, "") and str(value).strip().upper() not in allowed:
@@ -78,8 +81,6 @@ def mean_elements(fields: JsonObject, key: str, field: str) -> JsonObject:
     out: JsonObject = {}
     for ours, theirs in _KEYS.items():
         value = fields.get(theirs)
-        if value in (None, "") and ours == "bstar":
-            continue
         if value in (None, ""):
             raise BadInput(field, f"no {theirs} of {key}", f"an OMM with {theirs}")
         try:

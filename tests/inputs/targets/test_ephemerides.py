@@ -414,6 +414,7 @@ def test_limits_missing_large_and_binary_files(tmp_path: Path) -> None:
         ({"CENTER_NAME": "MOON"}, "CENTER_NAME EARTH"),
         ({"MEAN_MOTION": "fast"}, "a number"),
         ({"EPOCH": None}, "EPOCH"),
+        ({"BSTAR": None}, "no BSTAR"),  # drag would be 0: 34 km after three days of 1.5e-4
     ],
 )
 def test_limits_other_theories(tmp_path: Path, change: dict[str, Any], words: str) -> None:
