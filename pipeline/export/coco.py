@@ -57,7 +57,10 @@ def image_entry(number: int, name: str, shape: tuple[int, int], times: ExposureT
 def annotation(
     number: int, image: int, labels: Labels, i: int, mask: Mask, shape: tuple[int, int]
 ) -> JsonObject | None:
-    """One source of one image; None where none of its pixels lies in the frame."""
+    """One source of one image; None where none of its pixels lies in the frame.
+
+    Keypoints are flagged 2, labelled and visible, or 1, labelled but off the frame.
+    """
     box = mask.box
     if box is None:
         return None
@@ -72,6 +75,10 @@ def annotation(
         )
     }
     mags = {name: float(getattr(labels, name)[i]) for name in ("g_mag", "v_mag", "mag_ab")}
+    rows, columns = shape
+    seen = {
+        name: -0.5 <= x < columns - 0.5 and -0.5 <= y < rows - 0.5 for name, (x, y) in at.items()
+    }
     return {
         "id": number,
         "image_id": image,
@@ -80,7 +87,7 @@ def annotation(
         "area": int(mask.pixels.sum()),
         "iscrowd": 0,
         "segmentation": {"size": list(shape), "counts": packed(run_lengths(mask, shape))},
-        "keypoints": [v for name in KEYPOINTS for v in (*at[name], 2)],
+        "keypoints": [v for name in KEYPOINTS for v in (*at[name], 2 if seen[name] else 1)],
         "num_keypoints": len(KEYPOINTS),
         "streak": {
             **at,

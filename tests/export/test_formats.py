@@ -318,6 +318,9 @@ def test_coco_tells_each_number_of_its_own():
     assert (first["bbox"], first["area"], first["num_keypoints"]) == ([21, 5, 2, 2], 3, 3)
     assert first["segmentation"]["size"] == [100, 300]  # height, width
     assert first["keypoints"] == [10, 40, 2, 70, 20, 2, 60, 5, 2]  # 2: labelled and visible
+    cut = annotation(9, 5, labels, 0, mask, (30, 60))
+    assert cut["keypoints"] == [10, 40, 1, 70, 20, 1, 60, 5, 1]  # 1: labelled, off the frame
+    assert annotation(9, 5, labels, 0, mask, (30, 61))["keypoints"][-1] == 2  # -0.5 to 60.5
     streak = first["streak"]
     assert (streak["start"], streak["light"], streak["end"]) == ([10, 40], [31, 22], [60, 5])
     long = streak["length_px"], streak["angle_deg"]
