@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, StarTable, select
 from pipeline.execute.guards import LOOKED_AT, guard_places
-from pipeline.physics.motion.streak import Path, path_through, within
+from pipeline.physics.motion.streak import Path, curve_through, within
 from pipeline.physics.positions.apparent import star_astrometric, star_proper
 from pipeline.physics.positions.focal_plane import project
 from pipeline.physics.positions.refraction import refract
@@ -263,7 +263,7 @@ def _lit_path(
         return visible_path(x_px, y_px, light, clear, front, merge_px)
     total = float(share.sum())
     weight = share / total if total > 0 else np.full(steps, 1.0 / steps)
-    return path_through(x_px, y_px, weight, merge_px), total
+    return curve_through(x_px, y_px, weight, merge_px), total
 
 
 def _merge_px(plan: ResolvedScene, step_e: Array, x_px: Array, y_px: Array) -> float:

@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 Box = tuple[float, float, float, float]  # x0, x1, y0, y1 [px]
 
 LONGEST_PIECE_PX = 96.0
+HALVINGS = 3  # of the steps between nodes, at most, where a path bends
+SMOOTH = 0.01  # of what a path bends between nodes: what a cubic may miss to follow it there
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +75,36 @@ def path_through(x_px: Array, y_px: Array, weight: Array, tolerance_px: float) -
     keep = _ends_of_runs(x, y, w, tolerance_px)
     merged = np.add.reduceat(w, keep[:-1])
     return Path(x[keep], y[keep], merged)
+
+
+def curve_through(x_px: Array, y_px: Array, weight: Array, tolerance_px: float) -> Path:
+    """As `path_through`, with more nodes where the path bends smoothly by more than the tolerance
+    between those it has."""
+    x, y, w = x_px, y_px, weight
+    for _ in range(HALVINGS):
+        if not _bends(x, y, tolerance_px):
+            break
+        x, y, w = _halved(x), _halved(y), np.repeat(0.5 * w, 2)
+    return path_through(x, y, w, tolerance_px)
+
+
+def _bends(x_px: Array, y_px: Array, tolerance_px: float) -> bool:
+    """Whether straight lines between nodes (n + 1,) are farther off than a tolerance, and a cubic
+    is much nearer: random motion and the corners of a table are no bend."""
+    bend, rest = (np.hypot(np.diff(x_px, k), np.diff(y_px, k)) for k in (2, 4))
+    off_px = bend.max(initial=0.0) / 8.0
+    return bool(off_px > tolerance_px and len(rest) > 0 and rest.max() * 3 / 128 < SMOOTH * off_px)
+
+
+def _halved(v: Array) -> Array:
+    """Nodes (2 n + 1,) at half the steps: those between lie on the cubic of the four around them
+    (Abramowitz and Stegun, 25.2.13), the outermost on that of the four beside them."""
+    out = np.empty(2 * len(v) - 1)
+    out[::2] = v
+    out[3:-3:2] = (9.0 * (v[1:-2] + v[2:-1]) - v[:-3] - v[3:]) / 16.0
+    for end, near in ((1, v[:4]), (-2, v[:-5:-1])):
+        out[end] = near @ (5.0, 15.0, -5.0, 1.0) / 16.0
+    return out
 
 
 def in_few_runs(path: Path, tolerance_px: float) -> Path:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.arrays import Array, Geometry
 from pipeline.errors import BadInput
-from pipeline.physics.motion.streak import Path, path_through
+from pipeline.physics.motion.streak import Path, curve_through
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.plan.pointing.star_paths import star_paths
 from pipeline.plan.response.zones import Zone, biquadratic
@@ -61,7 +61,7 @@ def paths_through(offsets: Array, merge_px: Array) -> Iterator[Path]:
     steps = offsets.shape[2] - 1
     weight = np.full(steps, 1.0 / steps)
     for dx, dy, merge in zip(*offsets, merge_px, strict=True):
-        yield path_through(dx, dy, weight, float(merge))
+        yield curve_through(dx, dy, weight, float(merge))
 
 
 def own_paths(

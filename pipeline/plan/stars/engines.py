@@ -18,7 +18,7 @@ import numpy as np
 from pipeline.arrays import Geometry
 from pipeline.physics.drawing.spectral_plan import CROWD_PX
 from pipeline.physics.motion.points import points_per_px
-from pipeline.physics.motion.streak import LONGEST_PIECE_PX, POINT, Path, path_through
+from pipeline.physics.motion.streak import LONGEST_PIECE_PX, POINT, Path, curve_through
 from pipeline.physics.psf.product import is_product, product_table
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import oversampling_for
@@ -226,8 +226,9 @@ class _Costs:
         radius = self._core.radius_px
         values = table_bytes(self.point_phases, radius, POINT) / 4.0
         made = TABLE_S_PER_VALUE * values * len(self._plan.responses.blurs) / self._plan.frames
-        px = min(self._sweep.length_px, self._across_px)
-        points = points_per_px(self._band) * px + ENDS * self._segments
+        length_px = self._sweep.length_px
+        near = min(1.0, self._across_px / max(length_px, 1.0))
+        points = near * (points_per_px(self._band) * length_px + ENDS * self._segments)
         point_s = STAMP_S + CUBIC * STAMP_S_PER_PIXEL * math.pi * radius**2
         return made + stars * self._each * (STAR_S + points * point_s)
 
@@ -282,7 +283,7 @@ def _own_segments(plan: ResolvedScene, streak: Streak, light_e: float) -> int:
     weight = np.full(len(x_px) - 1, 1.0 / (len(x_px) - 1))
     share = densest_share(x_px, y_px, weight)
     merge_px = plan.merged_px(np.array(min(light_e, BRIGHTEST_E)), share)
-    return path_through(x_px, y_px, weight, float(merge_px)).segments
+    return curve_through(x_px, y_px, weight, float(merge_px)).segments
 
 
 def _point_error(blur: Blur, radius_px: float, phases: int) -> float:
