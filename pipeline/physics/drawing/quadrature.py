@@ -29,6 +29,7 @@ FAINTEST = 1e-25
 NODES = 12  # of a panel of the profile
 PANELS = 4.0  # to the scale of the optics
 BLOCK = 4  # panels that are blurred together
+NARROW, HERMITE = 0.02, 7  # of the optics' scale: a blur whose mean is that of few places
 BLUR_SIGMA = 9.0  # a Gaussian blur reaches so far
 FEWEST, MOST, MORE = 6, 64, 4  # nodes across a pixel, and how many more are tried next
 CONVERGED = 1e-12
@@ -95,8 +96,9 @@ def profile_s(blur: Blur, radius_px: float) -> float:
     (optics, _, spread), (n, width_px) = _round(blur), _far_rule(blur)
     if isinstance(optics, Gaussian):
         return 0.0
-    wide = min(_scale(optics), 2.0 * spread)
-    nodes = NODES * (2.0 * BLUR_SIGMA * spread / wide + BLOCK) * (spread > 0.0) if wide else 0.0
+    nodes = HERMITE**2 * float(spread > 0.0)
+    if spread >= NARROW * _scale(optics):
+        nodes = NODES * (2.0 * BLUR_SIGMA * spread / min(_scale(optics), 2.0 * spread) + BLOCK)
     far = (n // 2 + 2) * n * n / width_px
     return radius_px * NODES * (NODE_S * nodes * PANELS / _scale(optics) + VALUE_S * far)
 
@@ -263,6 +265,8 @@ def _blurred(optics: Optics, sigma_px: float, r_px: Array, width_px: float) -> A
 
     r_px : (panels, NODES) radii, panel by panel
     """
+    if sigma_px < NARROW * _scale(optics):
+        return _mean_around(optics, sigma_px, r_px)
     at, weight = np.polynomial.legendre.leggauss(NODES)
     wide, beyond = min(_scale(optics), 2.0 * sigma_px), BLUR_SIGMA * sigma_px
     count = math.ceil((len(r_px) * width_px + beyond) / wide) + 1
@@ -277,6 +281,16 @@ def _blurred(optics: Optics, sigma_px: float, r_px: Array, width_px: float) -> A
         kernel = np.exp(-0.5 * ((r.ravel()[:, None] - near) / sigma_px) ** 2)
         kernel *= i0e(r.ravel()[:, None] * near / sigma_px**2)
         out[k : k + BLOCK] = (kernel * light[part].ravel()).sum(axis=1).reshape(r.shape)
+    return out
+
+
+def _mean_around(optics: Optics, sigma_px: float, r_px: Array) -> Array:
+    """The same where the profile hardly changes over the blur: HERMITE by HERMITE places of it."""
+    at, weight = np.polynomial.hermite_e.hermegauss(HERMITE)
+    out = np.zeros(r_px.shape)
+    for x, share in zip(sigma_px * at, weight / weight.sum(), strict=True):
+        for y, other in zip(sigma_px * at, weight / weight.sum(), strict=True):
+            out += share * other * _intensity(optics, np.hypot(r_px + x, y))
     return out
 
 

@@ -87,7 +87,8 @@ def choose_engines(plan: ResolvedScene, g: Geometry, counts: StarCounts) -> Star
         classes.append(chosen)
         said += words
         stars_s += seconds
-    ends = zip([*near, near[-1]], pairwise(limits), strict=True)
+    beyond = counts.near(plan.halo_px + far_px)  # drawn as far as their light reaches
+    ends = zip([*near, beyond], pairwise(limits), strict=True)
     expected = tuple(some.between(*light_e) for some, light_e in ends)
     spent_s = None if r.products else stars_s
     made = replace(r, classes=tuple(classes), stars_s=spent_s, expected=expected)

@@ -181,3 +181,17 @@ def test_clocked_charge_is_a_streak_along_its_columns() -> None:
     most = (7000, 7000)
     assert affordable(Blur(MOFFAT), POINT, most)
     assert not affordable(Blur(MOFFAT, clock_px=1.3), POINT, most)
+
+
+@pytest.mark.parametrize("optics", [Airy(1.0, 0.3), Moffat(2.5, 2.5)], ids=["airy", "moffat"])
+def test_a_narrow_blur_is_the_mean_of_few_places(optics):
+    """Against Rice's distribution where both serve; of next to nothing it asks for no more memory,
+    and changes next to nothing."""
+    width_px = quadrature._scale(optics) / quadrature.PANELS
+    r_px = (np.arange(200)[:, None] + 0.5 * (quadrature._panel()[0] + 1.0)) * width_px
+    least_px = quadrature.NARROW * quadrature._scale(optics)
+    rings = quadrature._blurred(optics, 1.001 * least_px, r_px, width_px)
+    places = quadrature._mean_around(optics, 1.001 * least_px, r_px)
+    np.testing.assert_allclose(places, rings, rtol=1e-12)
+    tiny = quadrature._blurred(optics, 1e-8, r_px, width_px)
+    np.testing.assert_allclose(tiny, optics.intensity(r_px), rtol=1e-12, atol=1e-16)
