@@ -100,19 +100,40 @@ def _draw_point(plan: Plan, image: Array, tile: Tile, target: FrameTarget) -> No
 def _draw_stamps(
     plan: Plan, g: Geometry, image: Array, tile: Tile, paths: list[Streak], stars: FrameStars
 ) -> None:
-    """Stars by stamps, class by class and zone by zone; bright streaks along their own path."""
+    """Stars by stamps, class by class and zone by zone; bright streaks in more pieces, or along
+    their own path."""
     zones, classes = zone_of(plan, stars.x_px, stars.y_px), class_of(plan, stars.light_e)
+    finer = plan.responses.streaks.finer
     for k, core in enumerate(plan.responses.classes):
+        fine = streaks(plan, g, finer) if core.fine_phases and (classes == k).any() else []
         for zone in np.unique(zones[classes == k]):
             mine = select(stars, (classes == k) & (zones == zone))
-            streak = paths[zone]
-            bright = mine.light_e > streak.own_from_e
-            usual = select(mine, ~bright)
-            draw_along(plan, g, image, tile, select(mine, bright), paths)
-            for piece in streak.pieces:
-                x, y = streak.at(piece.centre, usual.x_px, usual.y_px)
-                x, y, light = usual.x_px + x, usual.y_px + y, usual.light_e * piece.share
-                _draw_piece(plan, image, tile, k, core.phases, piece.path, x, y, light)
+            bright = mine.light_e > paths[zone].own_from_e
+            _draw_pieces(plan, image, tile, k, core.phases, paths[zone], select(mine, ~bright))
+            mine = select(mine, bright)
+            if fine and len(mine):
+                bright = mine.light_e > fine[zone].own_from_e
+                some = select(mine, ~bright)
+                _draw_pieces(plan, image, tile, k, core.fine_phases, fine[zone], some, True)
+                mine = select(mine, bright)
+            draw_along(plan, g, image, tile, mine, paths)
+
+
+def _draw_pieces(
+    plan: Plan,
+    image: Array,
+    tile: Tile,
+    k: int,
+    phases: int,
+    streak: Streak,
+    stars: FrameStars,
+    cubic: bool = False,
+) -> None:
+    """Stars of class k in a zone by the pieces of its streak."""
+    for piece in streak.pieces:
+        x, y = streak.at(piece.centre, stars.x_px, stars.y_px)
+        x, y, light = stars.x_px + x, stars.y_px + y, stars.light_e * piece.share
+        _draw_piece(plan, image, tile, k, phases, piece.path, x, y, light, cubic)
 
 
 def draw_along(

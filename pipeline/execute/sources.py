@@ -24,7 +24,13 @@ from pipeline.plan.pointing.star_paths import excursions_px, rolled_stars
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.own_paths import star_offsets
 from pipeline.plan.response.responses import point_curvature, point_slope
-from pipeline.plan.response.streaks import MERGE_TOLERANCE_PX, Streak, densest_share, zone_streak
+from pipeline.plan.response.streaks import (
+    MERGE_TOLERANCE_PX,
+    Streak,
+    StreakPlan,
+    densest_share,
+    zone_streak,
+)
 from pipeline.plan.tiles import distance_px
 from pipeline.spec.targets.body import SphereBody
 from pipeline.spec.targets.mesh import MeshBody
@@ -197,9 +203,9 @@ def excursion_px(plan: ResolvedScene, g: Geometry) -> float:
     return float(excursions_px(plan.camera, g, plan.scene.star_effects["aberration"])[0])
 
 
-def streaks(plan: ResolvedScene, g: Geometry) -> list[Streak]:
-    """The common streak of each zone, row by row."""
-    streaks = plan.responses.streaks
+def streaks(plan: ResolvedScene, g: Geometry, streaks: StreakPlan | None = None) -> list[Streak]:
+    """The common streak of each zone, row by row; streaks : in place of the plan's own."""
+    streaks = streaks or plan.responses.streaks
     aberration = plan.scene.star_effects["aberration"]
     return [
         zone_streak(plan.camera, g, row, column, streaks, aberration)

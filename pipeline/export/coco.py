@@ -54,13 +54,16 @@ def image_entry(number: int, name: str, shape: tuple[int, int], times: ExposureT
     }
 
 
+def _flag(place: list[float], shape: tuple[int, int]) -> int:
+    """Flag of a keypoint (x, y): 2, labelled and visible, or 1, labelled but off the frame."""
+    x, y = place
+    return 2 if -0.5 <= x < shape[1] - 0.5 and -0.5 <= y < shape[0] - 0.5 else 1
+
+
 def annotation(
     number: int, image: int, labels: Labels, i: int, mask: Mask, shape: tuple[int, int]
 ) -> JsonObject | None:
-    """One source of one image; None where none of its pixels lies in the frame.
-
-    Keypoints are flagged 2, labelled and visible, or 1, labelled but off the frame.
-    """
+    """One source of one image; None where none of its pixels lies in the frame."""
     box = mask.box
     if box is None:
         return None
@@ -75,10 +78,6 @@ def annotation(
         )
     }
     mags = {name: float(getattr(labels, name)[i]) for name in ("g_mag", "v_mag", "mag_ab")}
-    rows, columns = shape
-    seen = {
-        name: -0.5 <= x < columns - 0.5 and -0.5 <= y < rows - 0.5 for name, (x, y) in at.items()
-    }
     return {
         "id": number,
         "image_id": image,
@@ -87,7 +86,7 @@ def annotation(
         "area": int(mask.pixels.sum()),
         "iscrowd": 0,
         "segmentation": {"size": list(shape), "counts": packed(run_lengths(mask, shape))},
-        "keypoints": [v for name in KEYPOINTS for v in (*at[name], 2 if seen[name] else 1)],
+        "keypoints": [v for name in KEYPOINTS for v in (*at[name], _flag(at[name], shape))],
         "num_keypoints": len(KEYPOINTS),
         "streak": {
             **at,

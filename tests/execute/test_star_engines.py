@@ -37,20 +37,23 @@ NOTHING = StarCounts(np.zeros(0))
 
 
 def plan_of(
-    streak_px: float, tile: int = SIDE, side: int = SIDE, psf: dict[str, Any] = GAUSSIAN
+    streak_px: float, tile: int = SIDE, side: int = SIDE, psf: dict[str, Any] = GAUSSIAN,
+    focal_length_m: float = 0.02,
 ) -> Plan:
     """A plan of one frame; stars drift, and the camera rolls with them."""
+    pixel_rad = 1e-5 / focal_length_m
     scene = parse_scene({
         "schema": "nightglass/scene/1", "name": "engines", "epoch": "2019-04-20T03:00:00Z",
         "observer": {"kind": "fixed", "position_au": [1.0, 0.0, 0.0]},
         "sensor": {
-            "shape": [side, side], "pixel_pitch_um": 10.0, "focal_length_m": 0.02,
+            "shape": [side, side], "pixel_pitch_um": 10.0,
+            "focal_length_m": focal_length_m,
             "aperture_m": 0.015, "psf": psf,
             "read_noise_e": 5.0,
             "bandpass": {"kind": "box", "short_nm": 600.0, "long_nm": 700.0},
         },
         "pointing": {"mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0,
-                     "rate_ra_arcsec_s": streak_px * np.degrees(5e-4) * 3600.0,
+                     "rate_ra_arcsec_s": streak_px * np.degrees(pixel_rad) * 3600.0,
                      "rate_dec_arcsec_s": 0.0},
         "exposure": {"integration_s": 1.0}, "stars": {"catalogue": "none"},
         "output": {"tile_shape": [tile, tile]},
@@ -171,6 +174,39 @@ def test_every_engine_gives_the_same_light(light, psf, monkeypatch):
     part = POINTS + 2.0 * SHOWN if served else 3.0
     assert (np.abs(by_points - alone) / noise).max() <= part * plan.responses.budget_e
     assert bool(served) == (light < 3e8 or psf is GAUSSIAN)
+
+
+@pytest.mark.parametrize("streak_px", [30.0, 150.0])
+def test_bright_streaks_in_more_pieces_have_the_light_of_their_own_paths(streak_px):
+    """Up to the light from which their own path would show, and cheaper where they are many."""
+    plan = plan_of(streak_px, focal_length_m=0.2)
+    usual, finer = plan.responses.streaks, plan.responses.streaks.finer
+    assert finer is not None
+    assert finer.pieces >= 2 * usual.pieces
+    assert finer.off_px < 0.5 * usual.off_px
+    g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
+    most_e, least_e = (s.own_from_e_px * s.longest_px for s in (finer, usual))
+    assert most_e > 2.0 * least_e
+    x, y = np.random.default_rng(6).uniform(10.0, SIDE - 10.0, (2, 8))
+    none = np.zeros(len(x))
+    stars = FrameStars(
+        np.arange(len(x)), x, y, np.geomspace(1.1 * least_e, 0.95 * most_e, 8), none, none, none,
+        np.zeros(8, np.uint8), np.zeros(8, np.uint8), np.ones(8),
+    )  # fmt: skip
+
+    def image(fine_phases: int) -> Any:
+        ways = {"fine_phases": fine_phases, "point_phases": 0}
+        classes = tuple(replace(c, **ways) for c in plan.responses.classes)
+        drawn = replace(plan, responses=replace(plan.responses, classes=classes))
+        return draw_stars(drawn, g, Tile(0, 0, 0, 0, SIDE, SIDE), [stars], [])
+
+    alone, in_more = image(0), image(32)
+    noise = np.sqrt(plan.facts.sigma_floor_e**2 + np.maximum(alone, 0.0)) / plan.facts.sigma_floor_e
+    off_e = np.abs(in_more - alone) / noise
+    assert 0.0 < off_e.max() <= 1.3 * plan.responses.budget_e  # with what own paths may
+    many = chosen(plan, 3e5, (8.0, 21.0)).responses.classes
+    assert any(c.fine_phases for c in many)
+    assert not any(c.fine_phases for c in chosen(plan, 3.0, (8.0, 12.0)).responses.classes)
 
 
 @pytest.mark.parametrize("optics", [Gaussian(0.6), Gaussian(2.0), Airy(1.0, 0.3)], ids=repr)

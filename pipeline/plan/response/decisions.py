@@ -134,9 +134,14 @@ def _streaks(basis: PlanBasis) -> list[Decision]:
     if s.own_from_e_px < math.inf:
         reason += (
             f". Stars of more than {s.own_from_e_px:.3g} e- a px of their path, of which that "
-            "would be more than the bound, are drawn along their own path, one by one. The bound "
-            "grows with a pixel's noise"
+            "would be more than the bound, are drawn along their own path, one by one"
         )
+        if s.finer is not None:
+            reason += (
+                f"; where they are many, those of up to {s.finer.own_from_e_px:.3g} e- a px in "
+                f"{s.finer.pieces} segments"
+            )
+        reason += ". The bound grows with a pixel's noise"
     out = [Decision("common_streak", True, reason, bound, bound / sigma_e)]
     if r.spectral_from:
         out.append(

@@ -76,6 +76,7 @@ class CoreClass:
         of a target, which may stand still where stars do not; 0 where the limit says it all
     Sources above the last class's limits, where these are finite, are drawn by quadrature.
     phases : sub-pixel phases of its tables; 0 draws each source by its own transform
+    fine_phases : those of tables of bright streaks in more pieces; 0: as those that are brighter
     point_phases : those of the table at rest by which bright streaks are drawn, as points along
         their own path, point_error : what it errs by per electron; 0 sweeps each by itself
     """
@@ -86,6 +87,7 @@ class CoreClass:
     wing_error: float
     target_error: float
     phases: int
+    fine_phases: int = 0
     point_phases: int = 0
     point_error: float = 0.0
 

@@ -3,7 +3,8 @@
 Stars of one frame move along almost the same path. In each piece of the exposure all stars of a
 zone get one shape, placed where each star's own light is in that piece; so what remains of the
 difference between two paths is divided by the number of pieces, and few tables serve all stars.
-Stars so bright that even that would show are drawn along their own path, one by one.
+Stars so bright that even that would show are drawn in more pieces, and those of which that would
+show along their own path, one by one.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ PATH_STEP_PX = 2.0**-11  # shapes are rounded to it, so that alike ones share th
 MERGE_TOLERANCE_PX = 2e-4  # these two at the usual accuracy
 SPREAD_TOLERANCE_PX = 4e-3
 MOST_PIECES = 16
+SHORTEST_PIECE_PX = 2.0  # of those of bright stars
 SLACK = 1.5  # over what the plan knows of some frames: what others may differ or be longer by
 SHOWN = 0.02  # of the budget: what merging the nodes of own paths may err by
 POINTS = 0.25  # and what the table of the points may, that such paths are drawn as
@@ -98,7 +100,8 @@ class StreakPlan:
     own_px : px from a star's own path, where that is interpolated across its zone
     photons : light has noise of its own, so that a pixel with more of it may err by more
     at_rest : what a pixel errs by of a star's light where every shape is a point
-    shortest_px : of all streaks
+    shortest_px : of all streaks; tolerance_px : what `spread_px` may be
+    finer : the same in more pieces, for brighter stars; None where that leaves no less
     """
 
     zones: int
@@ -115,6 +118,13 @@ class StreakPlan:
     photons: bool = True
     at_rest: float = math.inf
     shortest_px: float = 0.0
+    tolerance_px: float = SPREAD_TOLERANCE_PX
+    finer: StreakPlan | None = None
+
+    @property
+    def rounding_px(self) -> float:
+        """How far off light is for what shapes are rounded to."""
+        return 0.5 * self.step_px + self.merge_px
 
     @property
     def off_px(self) -> float:
@@ -122,7 +132,7 @@ class StreakPlan:
 
         A pixel errs by at most that part of the light of a px of path.
         """
-        apart = min(self.spread_px + 0.5 * self.step_px + self.merge_px, self.longest_px)
+        apart = min(self.spread_px + self.rounding_px, self.longest_px)
         return min(apart, self.at_rest)
 
     @property
@@ -139,7 +149,8 @@ class StreakPlan:
 
     def errors_e(self, light_e: Array, points_e: Array) -> Array:
         """What each of the stars there are (n,) errs by, as `error_e`: of one shape by its light;
-        too bright for that by merging its own path, and by the table of its points [e-].
+        too bright for that by one of more pieces, or by merging its own path, and by the table
+        of its points [e-].
 
         points_e : what the table that serves each errs by, of all its light; 0 without one
         """
@@ -150,6 +161,8 @@ class StreakPlan:
         hidden = self.photons and not self.still
         error_e = self.off_px * per_px / np.sqrt(1.0 + hidden * per_px / self.floor_e**2)
         bright_e = 2.0 * SHOWN * self.budget_e + np.minimum(points_e, POINTS * self.budget_e)
+        if self.finer is not None:
+            bright_e = np.maximum(bright_e, self.finer.errors_e(light_e, points_e))
         error_e = np.where(light_e > self.own_from_e_px * longest, bright_e, error_e)
         return np.minimum(error_e, self.budget_e)
 
@@ -199,10 +212,30 @@ def plan_streaks(
                 own,
                 photons,
                 shortest_px=float(lengths.min()),
+                tolerance_px=tolerance,
             )
-            begin = _light_from(made.off_px, made)
-            return replace(made, own_from_e_px=begin) if made.off_px else made
+            if not made.off_px:
+                return made
+            made = replace(made, own_from_e_px=_light_from(made.off_px, made))
+            return replace(made, finer=_finer(made, offsets))
         zones = min(2 * zones, most)
+
+
+def _finer(plan: StreakPlan, offsets: Array) -> StreakPlan | None:
+    """The plan in so many more pieces that what is left is about what shapes are rounded to."""
+    pieces = plan.pieces * _power_of_two(plan.spread_px / plan.rounding_px)
+    while plan.longest_px < SHORTEST_PIECE_PX * pieces:
+        pieces //= 2
+    if pieces <= plan.pieces or not math.isfinite(plan.own_from_e_px):
+        return None
+    made = replace(
+        plan,
+        pieces=pieces,
+        spread_px=_spread_px(offsets, pieces),
+        shapes=plan.zones**2 * _shapes(offsets, pieces),
+        tolerance_px=plan.rounding_px,
+    )
+    return replace(made, own_from_e_px=_light_from(made.off_px, made))
 
 
 def resting(plan: StreakPlan, curvature: float, slope: float) -> StreakPlan:
@@ -359,8 +392,8 @@ def zone_streak(
     longest = float(np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1).max())
     count = max(plan.pieces, _power_of_two(longest / LONGEST_PIECE_PX))  # this frame may be faster
     parts, means = _in_pieces(offsets, count)
-    allowed = SLACK * max(plan.spread_px, SPREAD_TOLERANCE_PX * plan.step_px / PATH_STEP_PX)
-    while _apart(parts, means) > allowed and count < MOST_PIECES:  # or turn more
+    allowed, most = SLACK * max(plan.spread_px, plan.tolerance_px), max(MOST_PIECES, plan.pieces)
+    while _apart(parts, means) > allowed and count < most:  # or turn more
         count *= 2
         parts, means = _in_pieces(offsets, count)
     made = []

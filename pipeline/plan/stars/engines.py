@@ -114,21 +114,64 @@ def _choose(
     splits = _splits(core, low_e, streaks)
     ways = [_Costs(plan, core, *one) for one in zip(streaks, splits, strict=True)]
     usual = [counts.between(low_e, split) for split in splits]
-    bright = [counts.between(split, core.brightest_e) for split in splits]
     if crowds:
         usual = [math.inf] * len(usual)
     tables_s, singly_s = _mean_s(_Costs.tables, ways, usual), _mean_s(_Costs.singly, ways, usual)
-    points_s = _mean_s(_Costs.points, ways, bright)
-    along_s = _mean_s(_Costs.along, ways, bright)
     tables = plan.responses.products or tables_s <= SURE * singly_s
-    phases = core.phases * tables
-    finest = max(ways, key=lambda way: way.point_phases)
-    points = finest.point_phases * (points_s <= along_s)
     usual_s = 0.0 if crowds else tables_s if tables else singly_s
-    said = _said(core, max(usual), max(bright), phases, points)
-    error = finest.point_error if points else 0.0
-    made = replace(core, phases=phases, point_phases=points, point_error=error)
-    return made, said, min(points_s, along_s) + usual_s
+    made, said, bright_s = _choose_bright(core, ways, splits, counts)
+    if core.phases and not tables and max(usual) >= 0.5:
+        said = [
+            f"about {max(usual):.0f} stars with {_named(core)} one by one, without tables",
+            *said,
+        ]
+    return replace(made, phases=core.phases * tables), said, bright_s + usual_s
+
+
+def _choose_bright(
+    core: CoreClass, ways: list[_Costs], splits: list[float], counts: StarCounts
+) -> tuple[CoreClass, list[str], float]:
+    """The same of the bright streaks alone: those of more light than `splits`, for each streak."""
+    pairs = list(zip(ways, splits, strict=True))
+    ends = [float(np.clip(way.fine_to_e, split, core.brightest_e)) for way, split in pairs]
+    finer = [counts.between(*one) for one in zip(splits, ends, strict=True)]
+    finer_s = _mean_s(_Costs.finer, ways, finer)
+    alone, rest = (_one_by_one(core, ways, from_e, counts) for from_e in (splits, ends))
+    fine = finer_s + rest[0] < alone[0]
+    one_by_one_s, as_points, most = rest if fine else alone
+    finest = max(ways, key=lambda way: way.point_phases)
+    points = finest.point_phases * as_points
+    made = replace(
+        core,
+        fine_phases=max(way.fine_phases for way in ways) * fine,
+        point_phases=points,
+        point_error=finest.point_error if points else 0.0,
+    )
+    said = _said_of_bright(core, max(finer) * fine, most, points)
+    return made, said, one_by_one_s + (finer_s if fine else 0.0)
+
+
+def _one_by_one(
+    core: CoreClass, ways: list[_Costs], from_e: list[float], counts: StarCounts
+) -> tuple[float, bool, float]:
+    """CPU seconds of drawing stars of a class from so much light on along their own paths, whether
+    as points, and most of them."""
+    stars = [counts.between(light_e, core.brightest_e) for light_e in from_e]
+    points_s, along_s = (_mean_s(way_s, ways, stars) for way_s in (_Costs.points, _Costs.along))
+    return min(points_s, along_s), points_s <= along_s, max(stars)
+
+
+def _said_of_bright(core: CoreClass, finer: float, alone: float, points: int) -> list[str]:
+    """What the decision says of the bright streaks of a class: so many in more pieces, and so many
+    one by one."""
+    said = []
+    if finer >= 0.5:
+        said.append(f"about {finer:.0f} bright streaks with {_named(core)} in more segments")
+    if alone >= 0.5:
+        way = f", as points of a table of {points} phases" if points else ""
+        bright = f"about {alone:.0f} bright streaks with {_named(core)}"
+        said.append(f"{bright} each along its own path{way}")
+    return said
 
 
 def _splits(core: CoreClass, low_e: float, streaks: list[Streak]) -> list[float]:
@@ -208,7 +251,14 @@ class _Costs:
         self._path = max((p.path for p in streak.pieces), key=lambda p: p.length_px)
         self._sweep = streak.path
         self._across_px = math.hypot(*plan.scene.sensor.shape) + 2.0 * core.radius_px
-        self.point_phases, self.point_error = self._table_of_points(plan)
+        light_e = min(core.brightest_e, BRIGHTEST_E)
+        self.point_phases, self.point_error = self._table_at(light_e, POINT, 1)
+        self._fine, self.fine_to_e, self.fine_phases = r.streaks.finer, 0.0, 0
+        if self._fine is not None:
+            self.fine_to_e = self._fine.own_from_e_px * max(1.0, self._sweep.length_px)
+            self._fine_path = self._sweep.scaled(1.0 / self._fine.pieces)
+            light_e = min(light_e, self.fine_to_e)
+            self.fine_phases = self._table_at(light_e, self._fine_path, self._fine.shapes)[0]
 
     def tables(self, stars: float) -> float:
         """From tables of the common shapes."""
@@ -219,6 +269,17 @@ class _Costs:
         """Each at its exact place, with the common shapes."""
         one_s = STAR_S + STAR_S_PER_SAMPLE * self._samples(self._path)
         return stars * self._each * self._count * one_s
+
+    def finer(self, stars: float) -> float:
+        """From tables of common shapes in more pieces."""
+        if self._fine is None or not self.fine_phases:
+            return math.inf
+        radius = self._core.radius_px
+        values = table_bytes(self.fine_phases, radius, self._fine_path) / 4.0
+        made = TABLE_S_PER_VALUE * values * self._fine.shapes * len(self._plan.responses.blurs)
+        pixels = math.pi * radius**2 + 2.0 * radius * self._fine_path.length_px
+        each_s = STAMP_S + CUBIC * STAMP_S_PER_PIXEL * pixels
+        return made + stars * self._each * self._fine.pieces * each_s
 
     def points(self, stars: float) -> float:
         """Each as points along its own path, of which those near the frame are drawn."""
@@ -257,18 +318,17 @@ class _Costs:
         ]
         return self._per_px2 * math.prod(sides)
 
-    def _table_of_points(self, plan: ResolvedScene) -> tuple[int, float]:
-        """Phases of the table at rest whose cubic interpolation serves the class's brightest, or
-        as many as there may be, and its error per unit light; 0 for none."""
-        r, radius = plan.responses, self._core.radius_px
+    def _table_at(self, light_e: float, path: Path, shapes: int) -> tuple[int, float]:
+        """Phases of the tables of some shapes whose cubic interpolation serves stars of so much
+        light, or as many as there may be, and its error per unit light; 0 for none."""
+        r, radius = self._plan.responses, self._core.radius_px
         near, densest = light_near(self._sweep, radius)
-        light_e = min(self._core.brightest_e, BRIGHTEST_E)
-        allowed = POINTS * plan.allowed_e(light_e * densest) / (light_e * near)
+        allowed = POINTS * self._plan.allowed_e(light_e * densest) / (light_e * near)
         fourth = max(map(cubic_bound, r.blurs))
         wanted = (fourth / max(allowed - POINT_ROUNDING, 1e-12)) ** 0.25
         phases = int(np.clip(2 ** math.ceil(math.log2(wanted)), FEWEST_PHASES, MOST_PHASES))
         most = POINT_BYTES if r.field is None else FIELD_BYTES
-        while phases and table_bytes(phases, radius, POINT) * len(r.blurs) > most:
+        while phases and table_bytes(phases, radius, path) * shapes * len(r.blurs) > most:
             phases = phases // 2 if phases > FEWEST_PHASES else 0
         return phases, max(_point_error(b, radius, max(phases, 1)) for b in r.blurs)
 
@@ -308,13 +368,5 @@ def cubic_bound(blur: Blur) -> float:
     return 3.0 / 128.0 * float(np.trapezoid(np.trapezoid(integrand, f), f))
 
 
-def _said(core: CoreClass, usual: float, bright: float, phases: int, points: int) -> list[str]:
-    """What the decision says of a class."""
-    name = f"cores of {core.radius_px:.0f} px"
-    said = []
-    if core.phases and not phases and usual >= 0.5:
-        said.append(f"about {usual:.0f} stars with {name} one by one, without tables")
-    if bright >= 0.5:
-        way = f", as points of a table of {points} phases" if points else ""
-        said.append(f"about {bright:.0f} bright streaks with {name} each along its own path{way}")
-    return said
+def _named(core: CoreClass) -> str:
+    return f"cores of {core.radius_px:.0f} px"

@@ -153,7 +153,9 @@ def _lights(stage: Stage, windows: Sequence[Tile]) -> tuple[float, float]:
 
 def _without_tables(plan: Plan) -> Plan:
     """Every star drawn at its exact place by its own transform."""
-    classes = tuple(replace(c, phases=0, point_phases=0) for c in plan.responses.classes)
+    classes = tuple(
+        replace(c, phases=0, fine_phases=0, point_phases=0) for c in plan.responses.classes
+    )
     return replace(plan, responses=replace(plan.responses, classes=classes))
 
 
