@@ -39,7 +39,7 @@ PATH_STEP_PX = 2.0**-11  # shapes are rounded to it, so that alike ones share th
 MERGE_TOLERANCE_PX = 2e-4  # these two at the usual accuracy
 SPREAD_TOLERANCE_PX = 4e-3
 MOST_PIECES = 16
-SHORTEST_PIECE_PX = 2.0  # of those of bright stars
+SHORTEST_PIECE_PX, FINER_SHAPE = 2.0, 4.0  # of those of bright stars; times finer are these rounded
 SLACK = 1.5  # over what the plan knows of some frames: what others may differ or be longer by
 SHOWN = 0.02  # of the budget: what merging the nodes of own paths may err by
 POINTS = 0.25  # and what the table of the points may, that such paths are drawn as
@@ -233,6 +233,8 @@ def _finer(plan: StreakPlan, offsets: Array) -> StreakPlan | None:
         pieces=pieces,
         spread_px=_spread_px(offsets, pieces),
         shapes=plan.zones**2 * _shapes(offsets, pieces),
+        step_px=plan.step_px / FINER_SHAPE,
+        merge_px=plan.merge_px / FINER_SHAPE,
         tolerance_px=plan.rounding_px,
     )
     return replace(made, own_from_e_px=_light_from(made.off_px, made))
