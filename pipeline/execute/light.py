@@ -103,15 +103,16 @@ def _draw_stamps(
     """Stars by stamps, class by class and zone by zone; bright streaks in more pieces, or along
     their own path."""
     zones, classes = zone_of(plan, stars.x_px, stars.y_px), class_of(plan, stars.light_e)
-    finer = plan.responses.streaks.finer
+    fine: list[Streak] = []
+    if len(stars) and any(core.fine_phases for core in plan.responses.classes):
+        fine = streaks(plan, g, plan.responses.streaks.finer)
     for k, core in enumerate(plan.responses.classes):
-        fine = streaks(plan, g, finer) if core.fine_phases and (classes == k).any() else []
         for zone in np.unique(zones[classes == k]):
             mine = select(stars, (classes == k) & (zones == zone))
             bright = mine.light_e > paths[zone].own_from_e
             _draw_pieces(plan, image, tile, k, core.phases, paths[zone], select(mine, ~bright))
             mine = select(mine, bright)
-            if fine and len(mine):
+            if core.fine_phases and len(mine):
                 bright = mine.light_e > fine[zone].own_from_e
                 some = select(mine, ~bright)
                 _draw_pieces(plan, image, tile, k, core.fine_phases, fine[zone], some, True)

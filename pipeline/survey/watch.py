@@ -147,15 +147,14 @@ class Watcher:
         scene = self.resolved.scene if self.sky is None else self.sky.light.scene
         angles = {"sun": sun_exclusion_rad(scene), "moon": 0.0, "earth": 0.0}
         stray = None if self.sky is None else self.sky.stray
-        if stray is None:
+        curve = None if self.sky is None else self.sky.light.inputs.stray
+        if stray is None or curve is None:
             return angles
-        nearest_deg = 0.0
-        if stray.inside == "refuse" and stray.exclusion_deg is not None:
-            nearest_deg = stray.exclusion_deg
+        nearest_rad = curve.pst.exclusion_rad * (stray.inside == "refuse")
         for name, radius_rad in DISCS_RAD.items():  # in the field they are refused in any case
             if getattr(stray, name):
-                least = max(nearest_deg * DEG_RAD, radius_rad)
-                angles[name] = least + corner_radius(self.resolved.camera)
+                least_rad = max(nearest_rad, radius_rad)
+                angles[name] = least_rad + corner_radius(self.resolved.camera)
         return angles
 
     @property

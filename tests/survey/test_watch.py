@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import astropy.coordinates as coord
@@ -179,3 +180,16 @@ def test_weather_is_clear_as_often_as_asked() -> None:
         assert (other.reshape(-1, 4)[:, 0] != clear[:, 0]).mean() == pytest.approx(0.32, abs=0.05)
     for same in (clear_of(name="beside"), clear_of(longitude_deg=203.7)):
         np.testing.assert_array_equal(same.reshape(-1, 4), clear)
+
+
+def test_below_the_first_angle_of_a_curve_nothing_is_looked_at(tmp_path: Path) -> None:
+    """As a scene refuses: nearer to a lamp nothing was measured."""
+    (tmp_path / "pst.csv").write_text("angle_deg,pst\n30,1e-5\n180,1e-9\n")
+    stray = {"pst": {"kind": "table", "path": str(tmp_path / "pst.csv")}, "exclusion_deg": 10.0}
+    asked = sections(observer=AROUND, sensor=CAMERA)
+    asked["background"] |= {"stray_light": stray}
+    corner = np.degrees(np.arctan(np.hypot(512, 512) * 13.5e-6))
+    w = make_watcher(asked, FieldOfRegard(), EPOCH, False)
+    assert {k: np.degrees(v) for k, v in w.refused_rad.items()} == pytest.approx(
+        dict.fromkeys(("sun", "moon", "earth"), 30.0 + corner), rel=1e-6
+    )
