@@ -161,6 +161,7 @@ def resolve(asked: Scene) -> Resolved:
             *shared_remarks(scene),
             *orbit_remarks(scene, g, facts.ifov_rad),
             *umbra_remarks(scene, g),
+            *(sky.remarks if sky is not None else ()),
         ),
     )
 

@@ -24,9 +24,10 @@ INNERMOST_RAD = 14.1 * DEG_RAD  # its innermost value stands at 14.11 degrees: 1
 NEAREST_RAD = 2.0 * DEG_RAD  # where the extrapolation ends: the Sun's corona begins
 FALL = 2.3  # towards the Sun in angle (fits the table's inner values), and with distance
 LEAST_AU, MOST_AU = 0.3, 3.0  # where the distance law was measured (Helios, Pioneer 10)
-# Above or below the dust's plane, as seen from the Sun; there the light differs by the table's own
-# error (dust falls as exp(-2.1 |sin|): Leinert et al. 1981).
-MOST_OFF_PLANE_RAD = 3.0 * DEG_RAD
+# Above or below the dust's plane, as seen from the Sun: up to where the light differs by no more
+# than the table's own error, and up to where it is drawn at all.
+IN_PLANE_RAD, MOST_OFF_PLANE_RAD = 3.0 * DEG_RAD, 30.0 * DEG_RAD
+OFF_PLANE_FALL = 2.1  # dust falls as exp(-2.1 |sin|): Leinert et al. 1981
 OBLIQUITY_RAD = 84_381.406 * ARCSEC_RAD  # J2000.0, IAU 2006
 _S, _C = np.sin(OBLIQUITY_RAD), np.cos(OBLIQUITY_RAD)
 ECLIPTIC = np.array([[1.0, 0.0, 0.0], [0.0, _C, _S], [0.0, -_S, _C]])  # its axes in ICRS

@@ -208,6 +208,20 @@ def background_of(scene: Scene) -> Background:
     return scene.background or Background(starlight="auto")
 
 
+def off_plane_remarks(scene: Scene, g: Geometry) -> list[str]:
+    """What is said of zodiacal light that is seen from beside the plane of its dust."""
+    if not background_of(scene).zodiacal:
+        return []
+    most = max(map(z.off_plane_rad, g.sun_m[:, g.middle] - g.observer_m[:, g.middle]))
+    if most <= z.IN_PLANE_RAD:
+        return []
+    times = float(np.exp(z.OFF_PLANE_FALL * np.sin(most)))
+    return [
+        f"observer: {most / DEG_RAD:.3g} deg off the ecliptic, as seen from the Sun: zodiacal "
+        f"light is drawn as from within it, some {times:.2g} times too bright"
+    ]
+
+
 def nearest_known_rad(request: Zodiacal | bool | None) -> float:
     """How near to the Sun zodiacal light is known, as a scene asks for it."""
     extrapolate = isinstance(request, Zodiacal) and request.near_sun == "extrapolate"

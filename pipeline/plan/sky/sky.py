@@ -18,7 +18,7 @@ from pipeline.plan.facts import Facts, error_budget_e
 from pipeline.plan.pointing.geometry import plan_geometry, with_frames
 from pipeline.plan.pointing.turns import turning_frames
 from pipeline.plan.sky.inputs import SkyInputs
-from pipeline.plan.sky.light import ALL_G_MAG, LightOfSky, background_of
+from pipeline.plan.sky.light import ALL_G_MAG, LightOfSky, background_of, off_plane_remarks
 from pipeline.plan.stars.faint import (
     FaintLimit,
     faint_limit,
@@ -56,6 +56,7 @@ class SkyPlan:
     error_e: float
     faintest_g_mag: float | None
     decisions: tuple[Decision, ...]
+    remarks: tuple[str, ...] = ()
 
     @property
     def even(self) -> bool:
@@ -119,6 +120,7 @@ def plan_sky(
         error,
         limit.g_mag if limit else None,
         told,
+        tuple(off_plane_remarks(scene, geometry)),
     )
 
 
