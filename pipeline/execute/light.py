@@ -104,7 +104,8 @@ def _draw_stamps(
     their own path."""
     zones, classes = zone_of(plan, stars.x_px, stars.y_px), class_of(plan, stars.light_e)
     fine: list[Streak] = []
-    if len(stars) and any(core.fine_phases for core in plan.responses.classes):
+    finer = any(core.fine_phases for core in plan.responses.classes)
+    if finer and (stars.light_e > min(streak.own_from_e for streak in paths)).any():
         fine = streaks(plan, g, plan.responses.streaks.finer)
     for k, core in enumerate(plan.responses.classes):
         for zone in np.unique(zones[classes == k]):

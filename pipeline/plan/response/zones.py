@@ -40,9 +40,15 @@ def zone_of_frame(camera: Camera, row: int, column: int, zones: int) -> Zone:
     return Zone(row * y - 0.5, (row + 1) * y - 0.5, column * x - 0.5, (column + 1) * x - 0.5)
 
 
+@njit(cache=True, nogil=True)
+def _weights(t):
+    """Lagrange weights of the values at NODES."""
+    return 0.5 * t * (t - 1.0), (1.0 - t) * (1.0 + t), 0.5 * t * (t + 1.0)
+
+
 def lagrange(t: Array) -> Array:
     """(3, n) Lagrange weights of the values at NODES."""
-    return np.stack([0.5 * t * (t - 1.0), (1.0 - t) * (1.0 + t), 0.5 * t * (t + 1.0)])
+    return np.stack(_weights.py_func(t))
 
 
 @njit(cache=True, nogil=True)
@@ -50,8 +56,7 @@ def biquadratic(table, u, v):
     """Values (n,) of x and y of a (2, 3, 3) table at (u, v), star by star in one order of sums."""
     x, y = np.zeros(u.size), np.zeros(u.size)
     for k in range(u.size):
-        along = (0.5 * u[k] * (u[k] - 1.0), (1.0 - u[k]) * (1.0 + u[k]), 0.5 * u[k] * (u[k] + 1.0))
-        down = (0.5 * v[k] * (v[k] - 1.0), (1.0 - v[k]) * (1.0 + v[k]), 0.5 * v[k] * (v[k] + 1.0))
+        along, down = _weights(u[k]), _weights(v[k])
         for j in range(3):
             for i in range(3):
                 weight = down[j] * along[i]

@@ -262,8 +262,8 @@ class _Costs:
 
     def tables(self, stars: float) -> float:
         """From tables of the common shapes."""
-        made = self._table_s(self._core.phases) * self._tables / self._frames
-        return made + stars * self._each * self._count * self._stamp_s(1.0)
+        made = self._table_s(self._core.phases, self._path) * self._tables / self._frames
+        return made + stars * self._each * self._count * self._stamp_s(1.0, self._path)
 
     def singly(self, stars: float) -> float:
         """Each at its exact place, with the common shapes."""
@@ -274,25 +274,21 @@ class _Costs:
         """From tables of common shapes in more pieces."""
         if self._fine is None or not self.fine_phases:
             return math.inf
-        radius = self._core.radius_px
-        values = table_bytes(self.fine_phases, radius, self._fine_path) / 4.0
-        made = TABLE_S_PER_VALUE * values * self._fine.shapes * len(self._plan.responses.blurs)
-        pixels = math.pi * radius**2 + 2.0 * radius * self._fine_path.length_px
-        each_s = STAMP_S + CUBIC * STAMP_S_PER_PIXEL * pixels
-        return made + stars * self._each * self._fine.pieces * each_s
+        tables = self._fine.shapes * len(self._plan.responses.blurs)
+        made = self._table_s(self.fine_phases, self._fine_path) * tables
+        each_s = self._fine.pieces * self._stamp_s(CUBIC, self._fine_path)
+        return made + stars * self._each * each_s
 
     def points(self, stars: float) -> float:
         """Each as points along its own path, of which those near the frame are drawn."""
         if not self.point_phases or math.isinf(stars):
             return math.inf
-        radius = self._core.radius_px
-        values = table_bytes(self.point_phases, radius, POINT) / 4.0
-        made = TABLE_S_PER_VALUE * values * len(self._plan.responses.blurs) / self._plan.frames
+        tables = len(self._plan.responses.blurs) / self._plan.frames
+        made = self._table_s(self.point_phases, POINT) * tables
         length_px = self._sweep.length_px
         near = min(1.0, self._across_px / max(length_px, 1.0))
         points = near * (points_per_px(self._band) * length_px + ENDS * self._segments)
-        point_s = STAMP_S + CUBIC * STAMP_S_PER_PIXEL * math.pi * radius**2
-        return made + stars * self._each * (STAR_S + points * point_s)
+        return made + stars * self._each * (STAR_S + points * self._stamp_s(CUBIC, POINT))
 
     def along(self, stars: float) -> float:
         """Each along its own path, of which the pieces that come near the frame are drawn."""
@@ -302,13 +298,15 @@ class _Costs:
         one_s = STAR_S + (0.5 * STAR_S_PER_SAMPLE + swept_s) * self._samples(self._sweep, pieces)
         return stars * self._each * one_s * min(pieces, near)
 
-    def _stamp_s(self, more: float) -> float:
+    def _stamp_s(self, more: float, path: Path) -> float:
+        """Of a stamp of a path, so much dearer a pixel than a linear one."""
         radius = self._core.radius_px
-        pixels = math.pi * radius**2 + 2.0 * radius * self._path.length_px
+        pixels = math.pi * radius**2 + 2.0 * radius * path.length_px
         return STAMP_S + more * STAMP_S_PER_PIXEL * pixels
 
-    def _table_s(self, phases: int) -> float:
-        return TABLE_S_PER_VALUE * table_bytes(phases, self._core.radius_px, self._path) / 4.0
+    def _table_s(self, phases: int, path: Path) -> float:
+        """Of a table of a path."""
+        return TABLE_S_PER_VALUE * table_bytes(phases, self._core.radius_px, path) / 4.0
 
     def _samples(self, path: Path, pieces: float = 1.0) -> float:
         """Samples of the spectrum of a core that is swept by one of so many pieces of a path."""
