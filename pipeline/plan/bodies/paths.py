@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,16 @@ from pipeline.physics.positions.limb import height_of_line_m, pole_at, zenith_of
 from pipeline.physics.positions.refraction import refract
 from pipeline.plan.bodies.attitudes import View
 from pipeline.plan.bodies.bodies import target_lights
+from pipeline.plan.bodies.changes import (
+    CLOSE,
+    has_means,
+    is_changing,
+    looks_asked,
+    mean_light,
+)
 from pipeline.plan.bodies.sights import Moments, sights
 from pipeline.spec.pointing.observer import GroundObserver
-from pipeline.spec.scene import Scene
+from pipeline.spec.scene import Scene, Target
 from pipeline.spec.targets.mesh import MeshBody
 
 Array = NDArray[np.float64]
@@ -80,6 +88,7 @@ def target_paths(
             frames,
             _tabled(scene, which, at, view),
         )
+        _average(scene, which, at, seen, view, frames, light[0])
         observed = refract(seen.direction_proper, air)
         clear = clear_of_earth(scene, at, seen, observed)
         seven[:, some] = *project(camera, by_row, observed), *light, seen.range_m, clear
@@ -101,6 +110,66 @@ def target_paths(
     else:
         poses_, pose_s, turned = (np.stack(column) for column in zip(*poses, strict=True))
     return TargetPaths(x, y, bright, phase, lit, distance, clear, direction, poses_, pose_s, turned)
+
+
+def _average(
+    scene: Scene,
+    which: range,
+    at: Moments,
+    seen: TargetSight,
+    view: View,
+    frames: int,
+    light: Array,
+) -> None:
+    """Light (m, n) at the nodes becomes its mean around each, of targets that flicker, in place.
+
+    Between the nodes, places are straight lines; tables and turns are looked at as often as they
+    ask for (`changes`).
+    """
+    nodes = len(at.offset_s) // frames
+    for k, i in enumerate(which):
+        target, field = scene.targets[i], f"targets.{i}.body"
+        if nodes == 1 or not is_changing(target.body, at.epoch):
+            continue
+        left_s, offset_s = (v.reshape(frames, nodes) for v in (view.time_s[k], at.offset_s))
+        first, last = left_s.min(axis=-1), left_s.max(axis=-1)
+        span = offset_s[:, -1] - offset_s[:, 0]
+        asked = looks_asked(target.body, at.epoch, first, last, span)
+        for f in np.flatnonzero(has_means(target.body, asked)):
+            some = slice(f * nodes, (f + 1) * nodes)
+            one = View(*(getattr(view, v.name)[k : k + 1, some] for v in fields(View)))
+            known = (one, at.earth.sun_from_earth_m[some], seen.range_m[k : k + 1, some])
+            tt = at.times.tt1[some], at.times.tt2[some]
+            between = partial(_light_between, target, field, at.epoch, *known, tt)
+            share = CLOSE * scene.accuracy.flux_fraction
+            light[k, some] = mean_light(between, nodes, float(asked[f]), share)
+
+
+def _light_between(
+    target: Target,
+    field: str,
+    epoch: tuple[float, float],
+    view: View,
+    sun_from_earth_m: Array,
+    range_m: Array,
+    tt: tuple[Array, Array],
+    places: Array,
+) -> Array:
+    """Light (n,) of one target at places (n,) between the nodes (K) of an exposure, 0 to 1."""
+    out, last = np.empty(len(places)), range_m.shape[1] - 1
+    for some in (slice(k, k + TOGETHER) for k in range(0, len(places), TOGETHER)):
+        begin = np.minimum((places[some] * last).astype(np.int64), last - 1)
+        on = partial(_on_lines, begin, places[some] * last - begin)
+        one = View(*(on(getattr(view, v.name)) for v in fields(View)))
+        sun, tts = on(sun_from_earth_m[None])[0], (on(tt[0][None])[0], on(tt[1][None])[0])
+        out[some] = target_lights([target], [field], epoch, one, sun, tts, on(range_m))[0][0]
+    return out
+
+
+def _on_lines(begin: NDArray[np.int64], part: Array, values: Array) -> Array:
+    """Values (1, K, ...) on straight lines between nodes, `part` of the way beyond `begin` (n,)."""
+    a, b = values[:, begin], values[:, begin + 1]
+    return np.asarray(a + (b - a) * part.reshape(1, -1, *(1,) * (values.ndim - 2)))
 
 
 def clear_of_earth(scene: Scene, at: Moments, seen: TargetSight, observed: Array) -> Array:

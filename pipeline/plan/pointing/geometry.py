@@ -28,6 +28,7 @@ from pipeline.physics.positions.orbit import check_above_earth
 from pipeline.physics.positions.times import Instants, instants, parse_utc
 from pipeline.physics.vectors import separation, to_angles
 from pipeline.plan.bodies.bodies import flicker_shares, missed_shares
+from pipeline.plan.bodies.changes import MOST_LIGHT_NODES
 from pipeline.plan.bodies.orbits import orbit_states
 from pipeline.plan.bodies.paths import target_paths
 from pipeline.plan.bodies.sights import Moments, sights
@@ -64,7 +65,6 @@ PATH_TOLERANCE_PX = 2e-3  # how far linear motion between nodes may be from the 
 FINE_PX, FINE_NODES = 2e-4, 129  # the same at the usual accuracy, where so many nodes suffice
 FEWEST_NODES, MOST_NODES = 9, 1025
 ROUNDED_PX = 1e-9  # places are no better known
-MOST_LIGHT_NODES = 257  # what flickers faster is told in the plan
 ROUGH_PX = 0.1  # how far a table of attitudes may be off between MOST_NODES nodes
 MOST_DWELLS_SAMPLED = 64
 

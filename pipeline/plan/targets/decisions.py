@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.arrays import Geometry
-from pipeline.plan.bodies.bodies import flicker_share
 from pipeline.plan.bodies.sizes import limb_px, radius_m
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import Facts
 from pipeline.plan.pointing.geometry import bend_px
 from pipeline.plan.pointing.paths import near_frame
+from pipeline.plan.pointing.timescales import light_off
 from pipeline.plan.response.responses import point_slope
 from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.plan.targets.bounds import (
@@ -46,7 +46,7 @@ def _between_nodes(basis: PlanBasis) -> list[Decision]:
     ends = basis.frames
     if not basis.scene.targets:
         return []
-    off = flicker_share(ends, near_frame(basis.scene, ends))
+    off = light_off(basis.scene, ends, near_frame(basis.scene, ends))
     return [
         Decision(
             "targets.light_between_nodes",

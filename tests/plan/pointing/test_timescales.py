@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import copy
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from pipeline.plan.bodies.changes import mean_light as mean_light_around
 from pipeline.plan.pointing.geometry import _geometry, plan_geometry
-from pipeline.plan.pointing.timescales import hurried_remarks, looks
+from pipeline.plan.pointing.timescales import hurried_remarks, light_off, looks
 from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Scene
@@ -41,6 +43,9 @@ SCENE: dict[str, Any] = {
         "body": {"kind": "sphere", "diameter_m": 4, "albedo": 0.25},
     }],
 }  # fmt: skip
+
+SPIN = {"kind": "spin", "axis": [1.0, 0.0, 0.0], "rate_deg_s": 0.0}
+PLATE = {"kind": "plate", "area_m2": 3.0, "albedo": 0.2, "two_sided": True}
 
 
 def scene(body: dict[str, Any] | None = None, **more: Any) -> Scene:
@@ -100,16 +105,20 @@ def test_a_flash_far_away_and_one_in_later_rows() -> None:
         assert (found.max() > 10.0 * np.median(found)) == seen
 
 
-def test_a_plate_that_spins_at_a_round_rate() -> None:
-    """Whole turns between nodes: the mean of its light over a turn, not that of one attitude."""
-    spin = {"kind": "spin", "axis": [1.0, 0.0, 0.0], "rate_deg_s": 0.0}
-    plate = {"kind": "plate", "area_m2": 3.0, "albedo": 0.2, "two_sided": True}
+@cache
+def plate_over_a_turn() -> float:
+    """The mean of its light over attitudes of a whole turn."""
     held = [
-        mean_light(scene(plate | {"attitude": spin | {"phase_deg": float(p)}}))
+        mean_light(scene(PLATE | {"attitude": SPIN | {"phase_deg": float(p)}}))
         for p in np.arange(0.0, 360.0, 2.0)
     ]
-    turning = scene(plate | {"attitude": spin | {"rate_deg_s": 1440.0}})
-    assert mean_light(turning) == pytest.approx(np.mean(held), rel=2e-3)
+    return float(np.mean(held))
+
+
+def test_a_plate_that_spins_at_a_round_rate() -> None:
+    """Whole turns between nodes: the mean of its light over a turn, not that of one attitude."""
+    turning = scene(PLATE | {"attitude": SPIN | {"rate_deg_s": 1440.0}})
+    assert mean_light(turning) == pytest.approx(plate_over_a_turn(), rel=2e-3)
 
 
 @pytest.mark.parametrize("frequency_hz", [8.0, 16.0])
@@ -185,10 +194,60 @@ def test_rows_and_turns_are_looked_at_where_they_are() -> None:
 def test_what_is_too_fast_to_be_looked_at_is_told() -> None:
     spin = {"kind": "spin", "axis": [0.0, 0.0, 1.0]}
     box = {"kind": "box", "albedo": 0.2, "size_m": [1.0, 2.0, 3.0]}
-    for rate, told in ((360.0, False), (11000.0, False), (1e5, True)):
-        made = scene(box | {"attitude": spin | {"rate_deg_s": rate}})
+    for rate, exposed_s, told in ((360.0, 1.0, False), (1e5, 1.0, False), (1e5, 4.0, True)):
+        spinning = box | {"attitude": spin | {"rate_deg_s": rate}}
+        made = scene(spinning, exposure={"integration_s": exposed_s}, accept=["error"])
         g = plan_geometry(made, np.array([0]), 0.0)
-        said = hurried_remarks(made, g, np.ones((1, 1), bool))
+        near = np.ones((1, 1), bool)
+        said = hurried_remarks(made, g, near)
         assert bool(said) == told
-    assert "every 0.00045 s in an exposure of 1 s (frame 0), which is looked at every" in said[0]
-    assert plan_scene(made)["remarks"].count(said[0]) == 1
+        assert (light_off(made, g, near) == 1.0) == told
+    assert "every 0.00045 s in an exposure of 4 s (frame 0), which is looked at every" in said[0]
+    plan = plan_scene(made)
+    assert plan["remarks"].count(said[0]) == 1
+    rules = {d["component"]: d for d in plan["decisions"]}
+    assert rules["targets.light_between_nodes"]["bound"] == 1.0
+
+
+def test_flashes_between_the_most_nodes_there_are() -> None:
+    """Four of a thousandth of the exposure, all between nodes; their light, and the steady one."""
+    at = (np.array([30.5, 70.3, 120.7, 200.5]) / 256.0)[:, None] + [-1e-3, 0.0, 1e-3]
+    times = [-10.0, *at.ravel(), 10.0]
+    curve = {"kind": "light_curve", "times_s": times}
+    flash = scene(curve | {"intensities_m2_sr": [0.01, *4 * [0.01, 10.0, 0.01], 0.01]})
+    steady = scene(curve | {"intensities_m2_sr": 14 * [0.01]})
+    whole = 1.0 + 4.0 * 999.0 * 1e-3
+    assert mean_light(flash) / mean_light(steady) == pytest.approx(whole, rel=2e-3)
+    found, g = light(flash), plan_geometry(flash, np.array([0]), 0.0)
+    share = (found - found.min()) / (found - found.min()).sum()
+    late = float(g.target_range_m[0, 0, 4]) / 299_792_458.0  # of the light on its way
+    places = [at[:, 1].mean() + late, at[:, 1].mean()]
+    where = share @ np.linspace(0.0, 1.0, len(found))
+    assert min(abs(where - place) for place in places) < 2e-3
+    told = light_off(flash, g, np.ones((1, 1), bool))
+    assert 1.2e-4 <= told < 1.0
+
+
+@pytest.mark.parametrize("turns", [128, 256, 277.3])
+def test_a_plate_that_turns_as_often_as_there_are_nodes(turns: float) -> None:
+    """All the nodes meet one attitude; the light is the mean over a turn."""
+    turning = scene(PLATE | {"attitude": SPIN | {"rate_deg_s": 360.0 * turns}})
+    assert mean_light(turning) == pytest.approx(plate_over_a_turn(), rel=2e-3)
+    inner = light(turning)[1:-1]
+    assert np.ptp(inner) < 0.05 * inner.mean()
+
+
+def test_means_around_nodes_hold_the_whole_light() -> None:
+    for nodes, asked in ((9, 300.0), (257, 256.1), (130, 1000.0)):
+        rng = np.random.default_rng(nodes)
+        phase, turns = rng.uniform(0, 6.28, 5), rng.uniform(1, asked / 40, 5)
+
+        def bright(u: np.ndarray, phase: Any = phase, turns: Any = turns) -> np.ndarray:
+            return np.square(np.sin(6.28 * turns * u[:, None] + phase)).sum(axis=-1)
+
+        means = mean_light_around(bright, nodes, asked, 1e-5)
+        true, _ = quad(lambda u, f=bright: f(np.array([u]))[0], 0.0, 1.0, limit=5000)
+        assert np.trapezoid(means) / (nodes - 1) == pytest.approx(true, rel=1e-4)
+        steady = mean_light_around(lambda u: 2.0 + u, nodes, asked, 1e-5)
+        between = np.linspace(2.0, 3.0, nodes)[1:-1]
+        np.testing.assert_allclose(steady[1:-1], between, rtol=1e-9)
