@@ -25,7 +25,7 @@ from pipeline.physics.drawing.extended import draw_body
 from pipeline.physics.drawing.quadrature import draw_quadrature
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.drawing.wings import add_wings
-from pipeline.physics.motion.points import points_along
+from pipeline.physics.motion.points import in_fewer_points, points_along
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, POINT, Box, Path, pieces
 from pipeline.physics.psf.response import stamp_at
 from pipeline.plan.plan import Plan
@@ -167,6 +167,8 @@ def draw_along(
         for i, path in enumerate(own):
             place = float(x[i]), float(y[i]), float(light[i])
             k, reach_px = int(classes[mine[i]]), plan.responses.fades_px
+            if k < len(plan.responses.classes):
+                path = in_fewer_points(path, band)
             if not _draw_points(plan, image, tile, k, path, *place, band):
                 _draw_path(plan, image, tile, k, path, *place, reach_px)
 

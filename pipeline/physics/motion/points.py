@@ -11,14 +11,19 @@ import math
 from functools import cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from pipeline.physics.motion.streak import Path
+from pipeline.physics.motion.streak import Path, sinc_of
 
 Array = NDArray[np.float64]
 
 SEEN = 1e-9  # of a source's light at one frequency: what the nodes of a segment may err by
 MOST = 48  # nodes of a segment; longer ones are cut
+MANY = 32  # segments from which on points may be fewer
+MORE = 2  # nodes that a run which bends gets beyond those of a straight one
+ASIDE = 0.25  # of what segments may be off: what points for them may err by
+DIRECTIONS = 4  # in which points and segments are compared
 HALVINGS = 30  # of a node's phases, to find how far nodes serve
 
 
@@ -32,9 +37,9 @@ def points_along(path: Path, band: float) -> tuple[Array, Array, Array]:
     phase_rad = np.pi * band * np.hypot(dx, dy)  # of a segment's ends against its middle
     cuts = np.maximum(1, np.ceil(phase_rad / _served_rad()[-1])).astype(np.int64)
     count = np.searchsorted(_served_rad(), phase_rad / cuts) + 1
-    found = []
+    found, lit = [], path.weight != 0.0
     for cut, nodes in np.unique(np.stack([cuts, count]), axis=1).T:
-        some = np.flatnonzero((cuts == cut) & (count == nodes))[:, None]
+        some = np.flatnonzero(lit & (cuts == cut) & (count == nodes))[:, None]
         t, w = _nodes(int(nodes))
         at = ((np.arange(cut)[:, None] + 0.5 * (t + 1.0)) / cut).ravel()
         share = path.weight[some] * np.tile(0.5 * w / cut, cut)
@@ -43,6 +48,97 @@ def points_along(path: Path, band: float) -> tuple[Array, Array, Array]:
         np.concatenate([v.ravel() for v in values]) for values in zip(*found, strict=True)
     )
     return x, y, share
+
+
+def in_fewer_points(path: Path, band: float) -> Path:
+    """A path that bends in many short segments as fewer points, each a segment of no length; or
+    the path itself, where points are not fewer.
+
+    band : highest frequency of the image at rest [cycles/px]. Up to it, the transfer function
+        differs by at most ASIDE of what it would if all light moved by `path.off_px`.
+
+    The nodes of one Gauss-Legendre rule stand on each run of segments, at equal shares of the light
+    for equal steps of the rule; runs that it does not serve, looked at in DIRECTIONS at the band
+    itself, are halved.
+    """
+    if path.segments < MANY:
+        return path
+    off = max(SEEN, ASIDE * 2.0 * np.pi * band * path.off_px)
+    x, y, share = _on_runs(path.x_px, path.y_px, path.weight, band, off, _served_rad(), *_rules())
+    if not len(x) or 2 * len(x) > path.segments:
+        return path
+    weight = np.zeros(2 * len(share) - 1)
+    weight[::2] = share
+    return Path(np.repeat(x, 2), np.repeat(y, 2), weight)
+
+
+@njit(cache=True, nogil=True)
+def _on_runs(x, y, weight, band, off, served_rad, t, w):
+    """Points (3, n) on runs of segments, x, y and light; none where a segment asks for too many."""
+    count = len(weight)
+    light, way = np.zeros(count + 1), np.zeros(count + 1)  # up to each node
+    for k in range(count):
+        light[k + 1] = light[k] + weight[k]
+        way[k + 1] = way[k] + math.hypot(x[k + 1] - x[k], y[k + 1] - y[k])
+    out, used = np.empty((3, count + MOST)), 0
+    left = [(0, count)]
+    while left:
+        first, last = left.pop()
+        of_run = light[last] - light[first]
+        if of_run <= 0.0:
+            continue
+        n = int(np.searchsorted(served_rad, math.pi * band * (way[last] - way[first]))) + 1
+        n += MORE if last - first > 1 else 0
+        if n <= MOST and used + n <= count and n <= last - first:
+            k = first
+            for i in range(n):
+                to = light[first] + 0.5 * (1.0 + t[n - 1, i]) * of_run
+                while k < last - 1 and light[k + 1] < to:
+                    k += 1
+                part = (to - light[k]) / weight[k] if weight[k] > 0.0 else 0.5
+                out[0, used + i] = x[k] + part * (x[k + 1] - x[k])
+                out[1, used + i] = y[k] + part * (y[k + 1] - y[k])
+                out[2, used + i] = 0.5 * w[n - 1, i] * of_run
+            points = out[:, used : used + n]
+            if _off_run(x, y, weight, first, last, points, band) <= off * of_run:
+                used += n
+                continue
+        if last - first == 1:
+            return out[:, :0]
+        middle = (first + last) // 2
+        left.append((middle, last))
+        left.append((first, middle))
+    return out[:, :used]
+
+
+@njit(cache=True, nogil=True)
+def _off_run(x, y, weight, first, last, points, band):
+    """Largest difference of the transfer functions of segments and of points for them, at the band
+    in DIRECTIONS."""
+    worst = 0.0
+    for d in range(DIRECTIONS):
+        angle = math.pi * d / DIRECTIONS
+        fx, fy = 2.0 * math.pi * band * math.cos(angle), 2.0 * math.pi * band * math.sin(angle)
+        off = 0.0j
+        for i in range(points.shape[1]):
+            phase = fx * (points[0, i] - x[first]) + fy * (points[1, i] - y[first])
+            off += points[2, i] * complex(math.cos(phase), math.sin(phase))
+        for k in range(first, last):
+            begin = fx * (x[k] - x[first]) + fy * (y[k] - y[first])
+            half = 0.5 * (fx * (x[k + 1] - x[k]) + fy * (y[k + 1] - y[k]))
+            seen = weight[k] * sinc_of(half, math.sin(half))
+            off -= seen * complex(math.cos(begin + half), math.sin(begin + half))
+        worst = max(worst, abs(off))
+    return worst
+
+
+@cache
+def _rules() -> tuple[Array, Array]:
+    """Places and weights (MOST, MOST) of the rules of 1, 2, ... nodes, filled up with zeros."""
+    t, w = np.zeros((2, MOST, MOST))
+    for n in range(1, MOST + 1):
+        t[n - 1, :n], w[n - 1, :n] = _nodes(n)
+    return t, w
 
 
 def points_per_px(band: float) -> float:

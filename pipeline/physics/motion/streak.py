@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -24,11 +24,13 @@ class Path:
 
     x_px, y_px : (n + 1,) nodes relative to a reference point, pixels
     weight : (n,) share of the source's light on each segment, spread evenly along it
+    off_px : how far its segments may be off what they stand for
     """
 
     x_px: Array
     y_px: Array
     weight: Array
+    off_px: float = 0.0
 
     @property
     def segments(self) -> int:
@@ -74,26 +76,27 @@ def path_through(x_px: Array, y_px: Array, weight: Array, tolerance_px: float) -
     x, y, w = (np.asarray(a, float) for a in (x_px, y_px, weight))
     keep = _ends_of_runs(x, y, w, tolerance_px)
     merged = np.add.reduceat(w, keep[:-1])
-    return Path(x[keep], y[keep], merged)
+    return Path(x[keep], y[keep], merged, tolerance_px)
 
 
 def curve_through(x_px: Array, y_px: Array, weight: Array, tolerance_px: float) -> Path:
     """As `path_through`, with more nodes where the path bends smoothly by more than the tolerance
     between those it has."""
     x, y, w = x_px, y_px, weight
-    for _ in range(HALVINGS):
-        if not _bends(x, y, tolerance_px):
-            break
+    halvings, bend_px = 0, _bend_px(x, y)
+    while bend_px > tolerance_px and halvings < HALVINGS:
         x, y, w = _halved(x), _halved(y), np.repeat(0.5 * w, 2)
-    return path_through(x, y, w, tolerance_px)
+        halvings, bend_px = halvings + 1, bend_px / 4.0
+    made = path_through(x, y, w, tolerance_px)
+    return replace(made, off_px=max(tolerance_px, bend_px))
 
 
-def _bends(x_px: Array, y_px: Array, tolerance_px: float) -> bool:
-    """Whether straight lines between nodes (n + 1,) are farther off than a tolerance, and a cubic
-    is much nearer: random motion and the corners of a table are no bend."""
+def _bend_px(x_px: Array, y_px: Array) -> float:
+    """How far a path is from straight lines between nodes (n + 1,), where a cubic is much nearer;
+    else 0: random motion and the corners of a table are no bend."""
     bend, rest = (np.hypot(np.diff(x_px, k), np.diff(y_px, k)) for k in (2, 4))
-    off_px = bend.max(initial=0.0) / 8.0
-    return bool(off_px > tolerance_px and len(rest) > 0 and rest.max() * 3 / 128 < SMOOTH * off_px)
+    off_px = float(bend.max(initial=0.0)) / 8.0
+    return off_px if len(rest) > 0 and rest.max() * 3 / 128 < SMOOTH * off_px else 0.0
 
 
 def _halved(v: Array) -> Array:
@@ -349,6 +352,10 @@ def _transfer(fy, fx, x, y, weight, columns):
             half_y = fy[i] * dy
             sin_y, cos_y = np.sin(half_y), np.cos(half_y)
             turn = weight[k] * complex(np.cos(fy[i] * my), -np.sin(fy[i] * my))
+            if dx == 0.0 and dy == 0.0:
+                for j in range(columns[i]):
+                    out[i, j] += turn * turns[j]
+                continue
             for j in range(columns[i]):
                 sinc = sinc_of(half_y + across[j], sin_y * cosines[j] + cos_y * sines[j])
                 out[i, j] += sinc * (turn * turns[j])

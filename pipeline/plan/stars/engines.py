@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.arrays import Geometry
 from pipeline.physics.drawing.spectral_plan import CROWD_PX
-from pipeline.physics.motion.points import points_per_px
+from pipeline.physics.motion.points import in_fewer_points, points_per_px
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, POINT, Path, curve_through
 from pipeline.physics.psf.product import is_product, product_table
 from pipeline.physics.psf.pupil import Blur
@@ -342,7 +342,8 @@ def _own_segments(plan: ResolvedScene, streak: Streak, light_e: float) -> int:
     weight = np.full(len(x_px) - 1, 1.0 / (len(x_px) - 1))
     share = densest_share(x_px, y_px, weight)
     merge_px = plan.merged_px(np.array(min(light_e, BRIGHTEST_E)), share)
-    return curve_through(x_px, y_px, weight, float(merge_px)).segments
+    path = curve_through(x_px, y_px, weight, float(merge_px))
+    return int(np.count_nonzero(in_fewer_points(path, plan.responses.band).weight))
 
 
 def _point_error(blur: Blur, radius_px: float, phases: int) -> float:
