@@ -48,6 +48,7 @@ class Facts:
     brightest_e : light of the brightest source in the longest exposure; 0 where not known
     flat : typical response to light (median), which SNR counts
     ab_rate_e_s_m2 : electrons of a source of AB magnitude 0 in the band, above the air
+    zero_e, top_e : signals at which the converter of a typical pixel ends (medians)
     """
 
     area_m2: float
@@ -66,6 +67,8 @@ class Facts:
     flat: float = 1.0
     ab_rate_e_s_m2: float = math.nan
     quieter_e2: float = 0.0
+    zero_e: float = -math.inf
+    top_e: float = math.inf
 
 
 def gather_facts(
@@ -78,6 +81,7 @@ def gather_facts(
     brightest_e: float = 0.0,
     flat: float = 1.0,
     quieter_e2: float = 0.0,
+    converter_e: tuple[float, float] = (-math.inf, math.inf),
 ) -> Facts:
     """Facts from the scene, its response curve and the typical values of its sensor maps.
 
@@ -86,7 +90,8 @@ def gather_facts(
     table : the point-spread function that the scene names as a table, read; of a field, one for
         each of its places, row by row (None for those that are no table)
     brightest_e : light of the brightest source in the longest exposure, as far as it is known
-    flat : typical response to light (median); quieter_e2 : of the Facts
+    flat : typical response to light (median); quieter_e2 : of the Facts; converter_e : their zero_e
+    and top_e
     """
     s, t = scene.sensor, integration_range_s(scene)[0]
     pitch = s.pixel_pitch_um * 1e-6
@@ -132,6 +137,8 @@ def gather_facts(
         flat=flat,
         ab_rate_e_s_m2=ab_photon_rate(0.0, response),
         quieter_e2=quieter_e2,
+        zero_e=converter_e[0],
+        top_e=converter_e[1],
     )
 
 

@@ -102,13 +102,9 @@ class ResolvedScene:
 
     @property
     def full_e(self) -> float:
-        """Charge of a pixel [e-] that its well or its converter ends at, where they are numbers."""
+        """Charge of a typical pixel [e-] that its well or its converter ends at."""
         s = self.scene.sensor
-        top = math.inf
-        if not isinstance(s.gain_e_per_dn, str | None) and not isinstance(s.bias_dn, str):
-            top_e = (2.0**s.adc_bits - 1.0 - s.bias_dn) * s.gain_e_per_dn
-            top = float(collected_for(s, top_e))
-        return float(min(top, s.full_well_e or math.inf))
+        return min(float(collected_for(s, self.facts.top_e)), s.full_well_e or math.inf)
 
     def empty_e(self, sky_e_s: Array | float, frame: int = 0) -> Array:
         """Charge (...) of a pixel that holds no source, under skies (...) [e-/s], in a frame."""

@@ -36,7 +36,13 @@ from pipeline.plan.pointing.timescales import hurried_remarks
 from pipeline.plan.resolved import ResolvedScene, resolved_scene
 from pipeline.plan.response.responses import plan_responses
 from pipeline.plan.response.sources import KnownSources
-from pipeline.plan.sensor.detector import quieter_e2, typical_read_noise_e
+from pipeline.plan.sensor.detector import (
+    below_zero,
+    converter_e,
+    full_share,
+    quieter_e2,
+    typical_read_noise_e,
+)
 from pipeline.plan.sky.doubts import sky_doubts
 from pipeline.plan.stars.brightest import brightest_target_e
 from pipeline.plan.stars.field_stars import FieldStars
@@ -60,6 +66,8 @@ if TYPE_CHECKING:
     from pipeline.physics.sky.extinction import BandExtinction
     from pipeline.plan.sky.sky import SkyPlan
 
+MANY_FULL = 0.05  # of the pixels, though a typical one is not full: an output of its own
+MANY_CUT = 0.05  # of the pixels without a source, that would read below 0
 SLOW_S = 0.2  # of CPU: less says nothing of how long a scene takes
 Band = tuple[ResponseCurve, str, str]
 
@@ -118,6 +126,7 @@ def resolve(asked: Scene) -> Resolved:
         ),
         maps.typical("flat"),
         quieter_e2(scene, maps),
+        converter_e(scene, maps),
     )
     doubts = sky_doubts(scene, facts, band[0], dut1_s)
     extinction = _extinction(scene, band[0])
@@ -143,7 +152,8 @@ def resolve(asked: Scene) -> Resolved:
             *doubts.warnings,
             *warnings,
             *_none_in_field(resolved, g, field_stars),
-            *_filled(resolved, g.frame),
+            *_filled(resolved, maps, g.frame),
+            *_cut_off(resolved),
             *table_warnings(scene, g, facts.ifov_rad),
             *turn_warnings(scene, g, facts.ifov_rad, gather_turn_off_rad(scene)),
         ),
@@ -166,7 +176,7 @@ def resolve(asked: Scene) -> Resolved:
     )
 
 
-def _filled(resolved: ResolvedScene, sampled: NDArray[np.int64]) -> list[str]:
+def _filled(resolved: ResolvedScene, maps: SensorMaps, sampled: NDArray[np.int64]) -> list[str]:
     """The warning that no source shows in the middle of frames, as pixels are full without any.
 
     Looked at are the frames sampled, those between which the sky is linear, and one of each
@@ -179,13 +189,48 @@ def _filled(resolved: ResolvedScene, sampled: NDArray[np.int64]) -> list[str]:
     x, y = np.array(resolved.camera.centre_px)[:, None]
     full = [k for k in looked_at.tolist() if resolved.filled(k, x, y)[0]]
     if not full:
-        return []
+        return _partly_filled(resolved, maps, looked_at)
     empty_e = float(resolved.empty_e(resolved.sky_e_s(full[0], x, y), full[0])[0])
     more = f" there, and in {len(full) - 1} more of {len(looked_at)} frames looked at"
     return [
         f"sky and dark current alone give a typical pixel {empty_e:.3g} e- in frame {full[0]}, "
         f"which fills it ({resolved.full_e:.3g} e-, its full well or the converter's top): no "
         f"source shows{more if len(full) > 1 else ''}"
+    ]
+
+
+def _partly_filled(
+    resolved: ResolvedScene, maps: SensorMaps, frames: NDArray[np.int64]
+) -> list[str]:
+    """The warning that many pixels are full without a source, though a typical one is not."""
+    x, y = np.array(resolved.camera.centre_px)[:, None]
+
+    def sky_e_s(frame: int) -> float:
+        return float(resolved.sky_e_s(frame, x, y)[0])
+
+    worst = max(frames.tolist(), key=lambda k: float(resolved.empty_e(sky_e_s(k), k)))
+    share = full_share(resolved.scene, maps, sky_e_s(worst), resolved.integration_s(worst))
+    if share < MANY_FULL:
+        return []
+    return [
+        f"sky and dark current alone fill {share:.1%} of the pixels in frame {worst} (full well, "
+        "or the converter's top with their own gain and bias): no source shows in them"
+    ]
+
+
+def _cut_off(resolved: ResolvedScene) -> list[str]:
+    """The warning that the converter cuts off the noise of pixels that hold no source, at 0 DN."""
+    x, y = np.array(resolved.camera.centre_px)[:, None]
+    frame = int(np.argmin(frame_times(resolved.scene, np.arange(resolved.frames))[1]))
+    mean_e = float(resolved.empty_e(resolved.sky_e_s(frame, x, y), frame)[0])
+    facts = resolved.facts
+    share, more_e = below_zero(resolved.scene.sensor, mean_e, facts.read_noise_e, facts.zero_e)
+    if share < MANY_CUT:
+        return []
+    return [
+        f"sensor.bias_dn: {share:.1%} of the pixels without a source lie below 0 DN in frame "
+        f"{frame} and read 0: the mean is {more_e:.3g} e- too high, the noise too low; a bias of "
+        "several times the noise avoids it"
     ]
 
 

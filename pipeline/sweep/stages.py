@@ -23,7 +23,7 @@ from pipeline.inputs.sensor.sensor import gather_sensor_maps
 from pipeline.plan.facts import noise_floor_e
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.sensor.detector import quieter_e2
+from pipeline.plan.sensor.detector import converter_e, quieter_e2
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.plan.timing import integration_range_s
 from pipeline.resolve.stars import shards_of
@@ -194,7 +194,7 @@ def point_plan(base: Base, scene: Scene, maps: SensorMaps) -> Plan:
     )
     dark_e = maps.typical("dark_e_per_s") * integration_range_s(scene)[0]  # as in gather_facts
     read, gain = maps.typical("read_noise_e"), maps.typical("gain_e_per_dn")
-    quieter = quieter_e2(scene, maps)
+    quieter, converter = quieter_e2(scene, maps), converter_e(scene, maps)
     sigma = noise_floor_e(scene, base.plan.facts.background_e + dark_e, read, gain, quieter)
     facts = replace(
         base.plan.facts,
@@ -203,6 +203,8 @@ def point_plan(base: Base, scene: Scene, maps: SensorMaps) -> Plan:
         sigma_floor_e=sigma,
         flat=maps.typical("flat"),
         quieter_e2=quieter,
+        zero_e=converter[0],
+        top_e=converter[1],
     )
     return replace(base.plan, scene=mine, facts=facts)
 

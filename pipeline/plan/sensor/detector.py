@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.arrays import Array, SensorMaps
 from pipeline.physics.noise.transfer import lag_frames
-from pipeline.physics.noise.wells import collected_e
+from pipeline.physics.noise.wells import collected_e, measured_e
 from pipeline.plan.accuracy import SMALL, part_sigma
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.scene import Scene
@@ -17,6 +17,8 @@ from pipeline.spec.sensor.sensor import Sensor
 
 QUIET = 0.01  # of the pixels: whose noise drawing is planned for
 LOOKED_AT = 4_000_000  # pixels of a large sensor
+REACH = 8.0  # standard deviations of the photons that are looked at
+SMALL_E = 1e4  # charge below which Poisson's law is summed, not a normal one
 LINEARITY_POINTS = 4097  # of a polynomial; straight between them
 
 
@@ -43,6 +45,54 @@ def quieter_e2(scene: Scene, maps: SensorMaps) -> float:
     some = (v.ravel()[::step] if v.ndim else v for v in values)
     quiet = float(np.quantile(variance(*some), QUIET, method="lower"))
     return max(0.0, float(variance(*map(maps.typical, names))) - quiet)
+
+
+def converter_e(scene: Scene, maps: SensorMaps) -> tuple[float, float]:
+    """Signals of a typical pixel [e-] at the two ends of its converter (medians)."""
+    top_dn = 2.0**scene.sensor.adc_bits - 1.0
+    ends = ((dn - maps.bias_dn) * maps.gain_e_per_dn for dn in (0.0, top_dn))
+    zero_e, top_e = (float(np.median(end)) for end in ends)
+    return zero_e, top_e
+
+
+def full_share(scene: Scene, maps: SensorMaps, sky_e_s: float, time_s: float) -> float:
+    """Which part of the pixels sky [e-/s] and dark current alone fill in an exposure."""
+    s = scene.sensor
+    names = ("flat", "dark_e_per_s", "gain_e_per_dn", "bias_dn")
+    step = max(1, math.prod(s.shape) // LOOKED_AT) | 1  # odd: no column by itself
+    values = (np.asarray(getattr(maps, name)) for name in names)
+    flat, dark, gain, bias = (v.ravel()[::step] if v.ndim else v for v in values)
+    top_e = collected_for(s, (2.0**s.adc_bits - 1.0 - bias) * gain)
+    full_e = np.minimum(top_e, s.full_well_e or math.inf)
+    return float(np.mean((flat * sky_e_s + dark) * time_s >= full_e))
+
+
+def below_zero(
+    sensor: Sensor, mean_e: float, read_noise_e: float, zero_e: float
+) -> tuple[float, float]:
+    """Which part of the pixels of a mean charge the converter cuts off at 0 DN, and by how much
+    that raises their mean signal [e-].
+
+    read_noise_e : of a pixel, with row and column; zero_e : signal that reads 0
+    """
+    spread = REACH * math.sqrt(mean_e) * sensor.photon_noise
+    low = max(0.0, mean_e - spread)
+    if spread and mean_e < SMALL_E:
+        charge = np.arange(math.floor(low), math.ceil(mean_e + spread) + REACH)
+        factorial = np.array([math.lgamma(n + 1.0) for n in charge.tolist()])
+        weight = np.exp(charge * math.log(mean_e) - mean_e - factorial)
+    else:
+        off = np.linspace(-1.0, 1.0, 401)
+        charge, weight = mean_e + off * (mean_e - low), np.exp(-0.5 * (REACH * off) ** 2)
+    signal = charge.astype(float)
+    if sensor.detector is not None and sensor.detector.nonlinearity is not None:
+        signal = measured_e(signal, *linearity(sensor.detector, float(sensor.full_well_e or 0.0)))
+    above = (signal - zero_e + 1e-6) / max(read_noise_e, 1e-9)  # a pixel at 0 DN lies not below
+    share = np.array([0.5 * math.erfc(a / math.sqrt(2.0)) for a in above.tolist()])
+    density = np.exp(-0.5 * above**2) / math.sqrt(2.0 * math.pi)
+    cut_e = read_noise_e * density - (signal - zero_e) * share
+    weight = weight / weight.sum()
+    return float(weight @ share), float(weight @ cut_e)
 
 
 def lag_depth(scene: Scene, sigma_e: float) -> int:

@@ -34,7 +34,7 @@ SCENE: dict[str, Any] = {
     "sensor": {
         "shape": [64, 64], "pixel_pitch_um": 10.0, "focal_length_m": 0.02, "aperture_m": 0.1,
         "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
-        "psf": {"kind": "gaussian", "sigma_px": 1.3}, "read_noise_e": 5.0,
+        "psf": {"kind": "gaussian", "sigma_px": 1.3}, "read_noise_e": 5.0, "bias_dn": 100,
     },
     "pointing": {"mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0},
     "exposure": {"integration_s": 10.0},

@@ -1,0 +1,81 @@
+"""Pixels that sky alone drives to an end of the converter: told before anything is drawn."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.plan.sensor.detector import below_zero
+from pipeline.route.prepare import prepare
+from pipeline.spec.load import parse_scene
+
+SCENE: dict[str, Any] = {
+    "schema": "nightglass/scene/1", "name": "ends", "epoch": "2019-03-21T09:00:00Z",
+    "accept": ["sun", "moon"],
+    "observer": {"kind": "fixed", "position_au": [1, 0, 0]},
+    "sensor": {
+        "shape": [64, 64], "pixel_pitch_um": 10.0, "focal_length_m": 1.0, "aperture_m": 0.2,
+        "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+        "psf": {"kind": "gaussian", "sigma_px": 1.0}, "read_noise_e": 6.0, "bias_dn": 500,
+        "gain_e_per_dn": 1.5, "full_well_e": 90000, "adc_bits": 12,
+    },
+    "pointing": {"mode": "sidereal", "boresight_ra_deg": 90, "boresight_dec_deg": 20},
+    "exposure": {"integration_s": 5.0},
+    "background": {"uniform_e_per_s": 1500},
+}  # fmt: skip
+
+
+def warnings(sky_e_s: float = 1500.0, **sensor: Any) -> list[str]:
+    scene = copy.deepcopy(SCENE)
+    scene["sensor"] |= sensor
+    scene["background"]["uniform_e_per_s"] = sky_e_s
+    return [w for w in prepare(parse_scene(scene)).plan.warnings if "pixel" in w]
+
+
+@pytest.mark.parametrize("name", ["gain_e_per_dn", "bias_dn"])
+def test_a_full_converter_is_told_where_a_term_is_an_image(tmp_path: Path, name: str) -> None:
+    value = SCENE["sensor"][name]
+    np.save(tmp_path / "image.npy", np.full((64, 64), float(value)))
+    told = warnings(**{name: str(tmp_path / "image.npy")})
+    assert told == warnings()
+    assert len(told) == 1
+    assert "(5.39e+03 e-, its full well or the converter's top)" in told[0]  # (4095 - 500) 1.5
+
+
+def test_a_full_converter_is_told_of_amplifiers() -> None:
+    part = {"rows": [0, 64], "columns": [0, 16], "gain_e_per_dn": 0.1}
+    told = warnings(adc_bits=16, detector={"amplifiers": [part]})
+    assert len(told) == 1
+    assert "fill 25.0% of the pixels" in told[0]
+    (whole,) = warnings(adc_bits=16, detector={"amplifiers": [part | {"columns": [0, 64]}]})
+    assert "(6.5e+03 e-, its full well or the converter's top)" in whole
+    assert not warnings(adc_bits=16)
+
+
+def test_noise_below_zero_is_told_with_its_size() -> None:
+    (told,) = warnings(0.5, bias_dn=0)
+    assert "34.4% of the pixels without a source lie below 0 DN" in told
+    assert "the mean is 1.42 e- too high" in told
+    assert not warnings(0.5)
+    assert not warnings(20.0, bias_dn=0)
+    assert not warnings(0.2, bias_dn=0, read_noise_e=0.0)  # photons alone are never below 0
+    (all_of_them,) = warnings(100.0, bias_dn=-400)
+    assert "100.0% of the pixels" in all_of_them
+    assert "the mean is 100 e- too high" in all_of_them
+
+
+@pytest.mark.parametrize(
+    ("mean_e", "read_e", "zero_e"),
+    [(0, 6, 0), (2.5, 6, 0), (1, 0, 0), (3, 0.5, 2), (500, 6, 470), (2e4, 6, 2e4), (2.5, 6, -750)],
+)
+def test_what_is_cut_off_agrees_with_draws(mean_e: float, read_e: float, zero_e: float) -> None:
+    rng = np.random.default_rng(4)
+    drawn = rng.poisson(mean_e, 400_000) + rng.normal(0.0, read_e, 400_000)
+    share, more_e = below_zero(parse_scene(SCENE).sensor, mean_e, read_e, zero_e)
+    assert share == pytest.approx(np.mean(drawn < zero_e), abs=0.004)
+    cut = np.maximum(drawn, zero_e) - drawn
+    assert more_e == pytest.approx(cut.mean(), abs=6.0 * cut.std() / 400_000**0.5 + 1e-9)
