@@ -67,3 +67,10 @@ LIMITS: dict[str, float] = {
     "radial_velocity": 1e5,  # km/s
     **{f"phot_{band}_mean_mag": 60.0 for band in ("g", "bp", "rp")},
 }
+UNITS: dict[str, str] = {
+    **dict.fromkeys(("ra", "dec"), "deg"),
+    **dict.fromkeys(("pmra", "pmdec"), "mas/yr"),
+    "parallax": "mas",
+    "radial_velocity": "km/s",
+    **{f"phot_{band}_mean_mag": "mag" for band in ("g", "bp", "rp")},
+}

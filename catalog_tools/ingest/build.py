@@ -29,6 +29,7 @@ from ..catalogue import (
     shard_name,
     write_manifest,
 )
+from ..columns import LIMITS, UNITS
 from ..coverage import of_rows
 from ..documents import JsonObject
 from ..engine.schedulers import LocalScheduler, Scheduler
@@ -54,7 +55,7 @@ from .pieces import Pieces
 from .publish import Workspace, publishing
 
 REQUEST_NAME = "request.json"
-PROGRESS_VERSION = 3  # of everything that is kept of an unfinished build
+PROGRESS_VERSION = 4  # of everything that is kept of an unfinished build
 BATCH_BYTES = 96 << 20  # of files as they come: some 300,000 gzipped rows of Gaia
 BATCH_SOURCES = 64
 REJECTS_ROWS = 100_000
@@ -128,6 +129,7 @@ def build(
         splits, continued = _read_all(batches, work.progress, budget, scheduler, progress)
         records = list(chain.from_iterable(s.records for s in splits))
         notes = _notes_on(records, about, work.progress)
+        _refuse_none(splits, records, notes, work.progress)
         pieces = Pieces(work.progress, list(chain.from_iterable(s.pieces for s in splits)))
         counts = _total_counts(splits, work.progress)
         cells = choose_leaves(counts, rows_per_leaf, pieces.rows_between)
@@ -196,7 +198,28 @@ def _notes_on(records: Sequence[Record], about: About, folder: Path) -> tuple[st
     if 1000 * unlike > sum(record["rows"] for record in records):
         text = f"{unlike} rows have source_ids below 2**45, which are hardly Gaia's"
         notes.append(f"{text}: their places were not compared with them")
+    beyond: Counter[str] = Counter()
+    for record in records:
+        beyond.update(record["beyond"])
+    for name, count in beyond.items():
+        text = f"{count} value(s) of {name} beyond {LIMITS[name]:g} {UNITS[name]}"
+        notes.append(f"{text}, which no star has, count as absent: is its unit right?")
     return tuple(notes)
+
+
+def _refuse_none(
+    splits: Sequence[BatchResult], records: Sequence[Record], notes: Sequence[str], folder: Path
+) -> None:
+    """BadInput where there are rows, and each of them was rejected while it was read."""
+    reasons: Counter[str] = Counter()
+    for s in splits:
+        reasons.update(s.reasons)
+    rows = sum(record["rows"] for record in records)
+    if not rows or sum(reasons.values()) < rows:
+        return
+    shutil.rmtree(folder, ignore_errors=True)  # there is nothing to go on with
+    why = "; ".join([*(f"{reason}: {count}" for reason, count in reasons.most_common()), *notes])
+    raise BadInput("source", f"{rows} rows, all rejected", f"at least one star ({why})")
 
 
 def _run(scheduler: Scheduler, stage: str, tasks: Sequence[object], tell: Progress) -> None:

@@ -80,6 +80,14 @@ def without_colour(magnitudes: Iterable[np.ndarray]) -> int:
     return int(np.count_nonzero(np.logical_or.reduce(absent)))
 
 
+def beyond_limits(table: pa.Table) -> dict[str, int]:
+    """How many values of a column are numbers beyond its limit, which count as absent."""
+    with np.errstate(invalid="ignore"):
+        sizes = {name: np.abs(table[name].to_numpy()) for name in LIMITS}
+        many = {n: int(np.sum((v > LIMITS[n]) & (v < np.inf))) for n, v in sizes.items()}
+    return {name: count for name, count in many.items() if count}
+
+
 def _numbers(column: pa.ChunkedArray, limit: float) -> np.ndarray:
     """A float column, NaN where it is null, not finite or beyond its limit. Always a new array."""
     values = np.array(column.to_numpy())

@@ -135,6 +135,28 @@ def test_files_without_a_row(tmp_path):
     assert ingest([tmp_path / name], tmp_path / "cone", form="gaia_dr2").catalogue.rows == 0
 
 
+def test_values_that_no_star_has_are_counted(tmp_path):
+    """Motions in another unit than the form says count as absent: a note; no star left: refused."""
+    lines = [HEAD + ",pmra,parallax"]
+    for i, (ra, dec) in enumerate(zip(*gaia_like(10)[1:], strict=True)):
+        lines.append(f"{i + 1},{ra},{dec},10,{2e6 if i < 7 else 3.0},{-2e4 if i < 2 else 'nan'}")
+    (tmp_path / "s.csv").write_text("\n".join(lines) + "\n")
+    report = ingest([tmp_path / "s.csv"], tmp_path / "made", form="gaia_dr2")
+    assert report.catalogue.rows == 10
+    told = [note for note in report.notes if "beyond" in note]
+    assert [note.split(",")[0] for note in told] == [
+        "7 value(s) of pmra beyond 100000 mas/yr",
+        "2 value(s) of parallax beyond 10000 mas",
+    ]
+    fluxes = "\n".join(line.replace(",10,", ",1500,") for line in lines)
+    (tmp_path / "s.csv").write_text(fluxes + "\n")
+    with pytest.raises(BadInput, match="at least one star") as caught:
+        ingest([tmp_path / "s.csv"], tmp_path / "none", form="gaia_dr2")
+    assert "10 rows, all rejected" in str(caught.value)
+    assert "10 value(s) of phot_g_mean_mag beyond 60 mag" in str(caught.value)
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".none")] == []
+
+
 def test_the_same_content_twice_is_named_whole(tmp_path):
     names = [f"{'a-rather-long-name-' * 6}{i}.csv" for i in range(2)]
     for each in names:
