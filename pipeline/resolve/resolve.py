@@ -13,7 +13,7 @@ from pipeline.arrays import Geometry, SensorMaps
 from pipeline.inputs.band.response import gather_band_light, gather_response
 from pipeline.inputs.earth_orientation import gather_dut1_s, gather_turn_off_rad
 from pipeline.inputs.sensor.psf_tables import gather_psf_table
-from pipeline.inputs.sensor.sensor import flat_remarks, gather_sensor_maps
+from pipeline.inputs.sensor.sensor import flat_remarks, gather_sensor_maps, unit_warnings
 from pipeline.inputs.stars.catalogues import (
     catalogue_remarks,
     colour_sentences,
@@ -152,8 +152,7 @@ def resolve(asked: Scene) -> Resolved:
             *doubts.warnings,
             *warnings,
             *_none_in_field(resolved, g, field_stars),
-            *_filled(resolved, maps, g.frame),
-            *_cut_off(resolved),
+            *_of_sensor(resolved, maps, g.frame),
             *table_warnings(scene, g, facts.ifov_rad),
             *turn_warnings(scene, g, facts.ifov_rad, gather_turn_off_rad(scene)),
         ),
@@ -174,6 +173,12 @@ def resolve(asked: Scene) -> Resolved:
             *(sky.remarks if sky is not None else ()),
         ),
     )
+
+
+def _of_sensor(resolved: ResolvedScene, maps: SensorMaps, sampled: NDArray[np.int64]) -> list[str]:
+    """The warnings on the sensor's terms, and on the pixels that they drive to an end."""
+    told = _filled(resolved, maps, sampled), _cut_off(resolved), unit_warnings(resolved.scene)
+    return [warning for each in told for warning in each]
 
 
 def _filled(resolved: ResolvedScene, maps: SensorMaps, sampled: NDArray[np.int64]) -> list[str]:

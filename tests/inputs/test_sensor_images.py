@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import psutil
 import pytest
+from astropy.io import fits
 
 from pipeline.errors import BadInput
 from pipeline.execute.truth import target_truth
@@ -137,3 +138,32 @@ def test_memory_is_what_machine_and_container_leave(tmp_path, monkeypatch):
         assert memory.free_mb() == pytest.approx((min(free, machine) + own) / 1e6, abs=30.0)
     (tmp_path / "memory.max").write_text("max\n")
     assert memory.free_mb() == pytest.approx((machine + own) / 1e6, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "right"),
+    [
+        ("dark_e_per_s", "adu", "electron / s"),
+        ("read_noise_e", "ADU", "electrons"),
+        ("gain_e_per_dn", "adu/electron", "electron/ADU"),
+        ("bias_dn", "electron", "DN"),
+    ],
+)
+def test_another_unit_that_a_file_declares_is_told(tmp_path, name, wrong, right):
+    """The image's own BUNIT, where it is not what the term is read as."""
+    image = np.full((32, 48), 3.0)
+
+    def told(unit: str, **more: float) -> list[str]:
+        hdu = fits.PrimaryHDU(image)
+        if unit:
+            hdu.header["BUNIT"] = unit
+        hdu.writeto(tmp_path / "image.fits", overwrite=True)
+        wish = {"bias_dn": 100.0, name: str(tmp_path / "image.fits"), **more}
+        return [w for w in prepare(scene(**wish)).plan.warnings if "BUNIT" in w]
+
+    (warning,) = told(wrong)
+    assert warning.startswith(f"sensor.{name}: ")
+    assert repr(wrong) in warning
+    assert told(right) == told("") == []
+    if name == "dark_e_per_s":
+        assert told(wrong, dark_scale=0.005) == []

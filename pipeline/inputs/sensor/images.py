@@ -10,6 +10,8 @@ from pipeline.arrays import Array
 from pipeline.errors import BadInput
 from pipeline.lazily import fits
 
+FITS_ENDINGS = (".fits", ".fits.gz", ".fit")
+
 
 def gather_image(given: str, field: str, shape: tuple[int, int]) -> Array:
     """An image file of the focal plane. BadInput for another shape and for NaN or infinity."""
@@ -34,13 +36,22 @@ def read_image(path: Path, field: str) -> Array:
             image = np.load(path, allow_pickle=False)
         except (ValueError, OSError, EOFError) as error:
             raise BadInput(field, str(path), f"a readable .npy image; {error}") from None
-    elif path.name.endswith((".fits", ".fits.gz", ".fit")):
+    elif path.name.endswith(FITS_ENDINGS):
         image = _read_fits(path, field)
     else:
         raise BadInput(field, str(path), "an image of kind .npy, .fits, .fits.gz or .zarr")
     if image is None or np.ndim(image) != 2 or np.asarray(image).dtype.kind not in "fiu":
         raise BadInput(field, str(path), "a two-dimensional image of numbers")
     return np.ascontiguousarray(image, dtype=np.float64)
+
+
+def declared_unit(given: str) -> str:
+    """The unit that a FITS file declares for its image; empty where there is none."""
+    if not Path(given).name.endswith(FITS_ENDINGS):
+        return ""
+    with fits().open(given) as hdus:
+        units = (h.header.get("BUNIT") for h in hdus if getattr(h, "data", None) is not None)
+        return str(next(units, None) or "").strip()
 
 
 def _read_fits(path: Path, field: str) -> np.ndarray | None:

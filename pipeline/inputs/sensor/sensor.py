@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.arrays import SensorMaps, Value
 from pipeline.errors import BadInput
 from pipeline.inputs.sensor.detector import with_detector
-from pipeline.inputs.sensor.images import gather_image
+from pipeline.inputs.sensor.images import declared_unit, gather_image
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.sensor import NumberOrImage
 
@@ -32,6 +32,43 @@ def flat_remarks(scene: Scene, maps: SensorMaps) -> list[str]:
         f"sensor.flat: the mean of {scene.sensor.flat} is {mean:.3g}: all light is multiplied by "
         "it; an image in counts or percent is to be divided by its mean"
     ]
+
+
+UNITS = {  # of the images, the first as it is said; in these spellings, without case and spaces
+    "dark_e_per_s": (
+        "e-/s",
+        "electron/s",
+        "electrons/s",
+        "electron s-1",
+        "electron s**-1",
+        "electron/sec",
+        "e/s",
+    ),
+    "read_noise_e": ("e-", "electron", "electrons", "e"),
+    "gain_e_per_dn": ("e-/DN", "electron/adu", "electrons/adu", "electron/dn", "e-/adu", "e/adu"),
+    "bias_dn": ("DN", "adu", "count", "counts", "ct"),
+}
+
+
+def unit_warnings(scene: Scene) -> list[str]:
+    """Images whose file declares another unit than that in which they are read (BUNIT)."""
+    out = []
+    for name, meant in UNITS.items():
+        given = getattr(scene.sensor, name)
+        scaled = name == "dark_e_per_s" and scene.sensor.dark_scale != 1.0
+        declared = declared_unit(given) if isinstance(given, str) and not scaled else ""
+        if declared and _plain(declared) not in map(_plain, meant):
+            more = ", or sensor.dark_scale converts it" if name == "dark_e_per_s" else ""
+            out.append(
+                f"sensor.{name}: {given} says that its unit is {declared!r} (BUNIT); its values "
+                f"are taken as {meant[0]}: remove BUNIT where they are{more}"
+            )
+    return out
+
+
+def _plain(unit: str) -> str:
+    """A unit without case, spaces and the ways to write a quotient."""
+    return "".join(unit.lower().split()).replace("dn", "adu").replace("electrons", "electron")
 
 
 def gather_sensor_maps(scene: Scene) -> SensorMaps:
