@@ -198,13 +198,17 @@ def _notes_on(records: Sequence[Record], about: About, folder: Path) -> tuple[st
     if 1000 * unlike > sum(record["rows"] for record in records):
         text = f"{unlike} rows have source_ids below 2**45, which are hardly Gaia's"
         notes.append(f"{text}: their places were not compared with them")
+    return (*notes, *_notes_on_limits(records))
+
+
+def _notes_on_limits(records: Sequence[Record]) -> Iterator[str]:
+    """Of each column how many values no star has, which count as absent."""
     beyond: Counter[str] = Counter()
     for record in records:
         beyond.update(record["beyond"])
     for name, count in beyond.items():
         text = f"{count} value(s) of {name} beyond {LIMITS[name]:g} {UNITS[name]}"
-        notes.append(f"{text}, which no star has, count as absent: is its unit right?")
-    return tuple(notes)
+        yield f"{text}, which no star has, count as absent: is its unit right?"
 
 
 def _refuse_none(

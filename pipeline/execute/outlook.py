@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Geometry
-from pipeline.execute.sources import place_targets, streaks
-from pipeline.execute.truth import matched_snr, target_magnitudes
+from pipeline.execute.sources import FrameTarget, place_targets, streaks
+from pipeline.execute.truth import brightest_pixel_e, matched_snr, target_magnitudes
 from pipeline.physics.motion.streak import POINT
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.air import star_transmission
 from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.resolved import ResolvedScene
 
 SNR_AT_LIMIT = 5.0
 LOOKED_AT = 8  # frames, evenly through the scene
@@ -28,8 +31,7 @@ def outlook(plan: Plan) -> JsonObject:
     targets : of up to TOLD of these the frames, magnitude and SNR where they are seen best;
     limiting_g_mag : None without stars, or where none reaches that SNR
     """
-    most = min(LOOKED_AT, max(1, PLACED // max(1, len(plan.scene.targets))))
-    frames = np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, most)).astype(np.int64))
+    frames = _looked_at(plan)
     names = tuple(t.name for t in plan.scene.targets)
     best: dict[str, JsonObject] = {}
     limits = []
@@ -53,14 +55,55 @@ def outlook(plan: Plan) -> JsonObject:
     }
 
 
+def full_warnings(plan: ResolvedScene) -> list[str]:
+    """The warning on targets that fill pixels, which hold less of their light than is told.
+
+    In the frames that the outlook looks at.
+    """
+    if not plan.scene.targets or math.isinf(plan.full_e):
+        return []
+    worst: dict[str, tuple[float, int]] = {}
+    for name, found_e, frame in _brightest_pixels(plan):
+        worst[name] = max(worst.get(name, (0.0, 0)), (found_e, frame))
+    full = {name: found for name, found in worst.items() if found[0] > plan.full_e}
+    if not full:
+        return []
+    name = max(full, key=full.__getitem__)
+    more = f" and {len(full) - 1} more fill" if len(full) > 1 else " fills"
+    peak_e, frame = full[name]
+    return [
+        f"targets: {name}{more} pixels (frame {frame}): the brightest would hold some {peak_e:.2g} "
+        f"e-, {peak_e / plan.full_e:.2g} times what a pixel holds; light and SNR are told as if "
+        "pixels held all"
+    ]
+
+
+def _brightest_pixels(plan: ResolvedScene) -> Iterator[tuple[str, float, int]]:
+    """Names of targets in the frames looked at, charge of their brightest pixel [e-], and where."""
+    for frame in _looked_at(plan).tolist():
+        g = plan_geometry(plan.scene, np.array([frame]), plan.dut1_s)
+        for t in place_targets(plan, g):
+            if _is_inside(plan, t) and plan.facts.flat * t.light_e > plan.full_e:
+                yield plan.scene.targets[t.index].name, brightest_pixel_e(plan, t, frame), frame
+
+
+def _looked_at(plan: ResolvedScene) -> NDArray[np.int64]:
+    """Frames that are looked at, evenly through the scene: fewer of many targets."""
+    most = min(LOOKED_AT, max(1, PLACED // max(1, len(plan.scene.targets))))
+    return np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, most)).astype(np.int64))
+
+
+def _is_inside(plan: ResolvedScene, t: FrameTarget) -> bool:
+    rows, columns = plan.scene.sensor.shape
+    return -0.5 <= t.x_px < columns - 0.5 and -0.5 <= t.y_px < rows - 0.5
+
+
 def target_snr(plan: Plan, g: Geometry, names: tuple[str, ...]) -> dict[str, float]:
     """Matched-filter SNR that the plan's noise gives each target in a frame, 0 outside of it."""
-    rows, columns = plan.scene.sensor.shape
     out = dict.fromkeys(names, 0.0)
     for t in place_targets(plan, g) if names else ():
         name = plan.scene.targets[t.index].name
-        inside = -0.5 <= t.x_px < columns - 0.5 and -0.5 <= t.y_px < rows - 0.5
-        if name in out and inside:
+        if name in out and _is_inside(plan, t):
             at = np.array([t.light_e]), np.array([t.x_px]), np.array([t.y_px])
             out[name] = float(matched_snr(plan, t.path, *at, int(g.frame[0]))[0])
     return out

@@ -284,6 +284,20 @@ def matched_snr(
     return snr
 
 
+def brightest_pixel_e(plan: ResolvedScene, t: FrameTarget, frame: int) -> float:
+    """Charge [e-] that a target leaves in its brightest pixel, with what is there without it: as if
+    pixels held any charge. At one phase of its response, as its SNR; a disc is even."""
+    at = np.array([t.light_e]), np.array([t.x_px]), np.array([t.y_px])
+    peak_e, even = float(plan.empty_e(plan.sky_e_s(frame, *at[1:]), frame)[0]), 1.0
+    if t.body is not None:
+        y0, y1, x0, x1 = t.body.box
+        even = 1.0 / max(1.0, 0.25 * math.pi * (y1 - y0) * (x1 - x0))
+    for blur, _, share in plan.responses.parts(at[1], at[2], plan.facts.flat * at[0]):
+        brightest = float(_response_at_centre(plan, blur, t.path)[0].max())
+        peak_e += float(share[0]) * min(even, brightest)
+    return peak_e
+
+
 def _matched_snr(
     plan: ResolvedScene, blur: Blur, path: Path, light_e: Array, floor_e2: Array
 ) -> Array:

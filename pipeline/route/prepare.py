@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -63,7 +64,10 @@ def prepare(scene: Scene) -> Prepared:
     """Resolve a scene and plan it; what is read and raised, `resolve` says."""
     started = time.thread_time()
     r = resolve(scene)
-    plan = make_plan(r.scene, r.geometry, r.stars, r.remarks, r.warnings, r.targets)
+    warnings = r.warnings
+    if r.scene.scene.targets:
+        warnings = (*warnings, *_drawing().full_warnings(r.scene))
+    plan = make_plan(r.scene, r.geometry, r.stars, r.remarks, warnings, r.targets)
     spent = _spent(plan, r, started)
     return Prepared(plan, r.maps, r.catalogues, r.left_out, spent, r.rays)
 
@@ -80,10 +84,15 @@ def _spent(plan: Plan, r: Resolved, started: float) -> Spent:
 def plan_scene(scene: Scene) -> JsonObject:
     """The plan of a scene as plain data (`nightglass plan`), with what its frames will show; what
     it reads, `prepare` says."""
-    from pipeline.execute.outlook import outlook
-
     prepared = prepare(scene)
-    return summary_of(prepared) | {"outlook": outlook(prepared.plan)}
+    return summary_of(prepared) | {"outlook": _drawing().outlook(prepared.plan)}
+
+
+def _drawing() -> ModuleType:
+    """What frames will show, by what draws them: a plan for a render without targets needs none."""
+    from pipeline.execute import outlook
+
+    return outlook
 
 
 def check_cost(scene: Scene, summary: JsonObject, most_cpu_s: float | None) -> None:

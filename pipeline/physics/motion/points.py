@@ -90,16 +90,8 @@ def _on_runs(x, y, weight, band, off, served_rad, t, w):
         n = int(np.searchsorted(served_rad, math.pi * band * (way[last] - way[first]))) + 1
         n += MORE if last - first > 1 else 0
         if n <= MOST and used + n <= count and n <= last - first:
-            k = first
-            for i in range(n):
-                to = light[first] + 0.5 * (1.0 + t[n - 1, i]) * of_run
-                while k < last - 1 and light[k + 1] < to:
-                    k += 1
-                part = (to - light[k]) / weight[k] if weight[k] > 0.0 else 0.5
-                out[0, used + i] = x[k] + part * (x[k + 1] - x[k])
-                out[1, used + i] = y[k] + part * (y[k + 1] - y[k])
-                out[2, used + i] = 0.5 * w[n - 1, i] * of_run
             points = out[:, used : used + n]
+            _place_rule(x, y, weight, light, first, last, t[n - 1], w[n - 1], points)
             if _off_run(x, y, weight, first, last, points, band) <= off * of_run:
                 used += n
                 continue
@@ -109,6 +101,20 @@ def _on_runs(x, y, weight, band, off, served_rad, t, w):
         left.append((middle, last))
         left.append((first, middle))
     return out[:, :used]
+
+
+@njit(cache=True, nogil=True)
+def _place_rule(x, y, weight, light, first, last, t, w, out):
+    """Points (3, n) at the places t of a rule in the light of some segments, with its weights w."""
+    k, of_run = first, light[last] - light[first]
+    for i in range(out.shape[1]):
+        to = light[first] + 0.5 * (1.0 + t[i]) * of_run
+        while k < last - 1 and light[k + 1] < to:
+            k += 1
+        part = (to - light[k]) / weight[k] if weight[k] > 0.0 else 0.5
+        out[0, i] = x[k] + part * (x[k + 1] - x[k])
+        out[1, i] = y[k] + part * (y[k + 1] - y[k])
+        out[2, i] = 0.5 * w[i] * of_run
 
 
 @njit(cache=True, nogil=True)
