@@ -108,13 +108,17 @@ def test_same_bits_wherever_a_tile_begins() -> None:
         assert np.array_equal(part, whole[y0:y1, x0:x1])
 
 
-@pytest.mark.parametrize("mean_e", [800.0, 990.0, 1000.0, 1400.0, 1e6])
-def test_what_reaches_its_full_well_is_drawn_term_by_term(mean_e: float) -> None:
-    """Below, about and far beyond it, with charge of rays: photons, full well, then read noise."""
+@pytest.mark.parametrize(
+    ("mean_e", "rays_e"),
+    [*((mean, 100.0) for mean in (800.0, 990.0, 1000.0, 1400.0, 1e6)), (200.0, 700.0), (20.0, 2e4)],
+)
+def test_what_reaches_its_full_well_is_drawn_term_by_term(mean_e: float, rays_e: float) -> None:
+    """Below, about and far beyond it, with charge of rays, or by that alone: photons, full well,
+    then read noise."""
     rng = np.random.default_rng(4)
     mean = mean_e * rng.uniform(0.98, 1.02, (6, 1100))
     mean[:, ::97] = 990.0  # few pixels of a run that are not full
-    rays, well = 100.0 * (rng.uniform(size=mean.shape) > 0.9), np.full((1, 1100), 1000.0)
+    rays, well = rays_e * (rng.uniform(size=mean.shape) > 0.9), np.full((1, 1100), 1000.0)
     read = np.full((1, 1100), 2.0)
     found = measured_image(mean, rays, well, read, 2, 3, 1, *KEYS)
     photons = poisson_image(mean, 2, 3, 1, *KEYS[1])
