@@ -149,6 +149,24 @@ def test_the_cameras_own_limits_hold_too(stray: Any) -> None:
         agrees(w, watch, s, np.min(margins, axis=0), 300)
 
 
+def test_a_sun_that_has_half_set_is_in_sight() -> None:
+    """While a satellite sees some of its disc beside the limb the camera's own angle holds."""
+    asked = sections(observer=AROUND, sensor=CAMERA | {"sun_exclusion_deg": 50.0})
+    w = make_watcher(asked, FieldOfRegard(sun_exclusion_deg=40.0), EPOCH, False)
+    at = np.arange(0.0, 8497.0, 1.5)  # once around
+    watch = w.watch(at)
+    here = np.einsum("nij,nj->ni", watch.to_gcrs, watch.observer_m)
+    sun = coord.get_sun(START + at * u.s).cartesian.xyz.to_value(u.m).T - here
+    limb = np.degrees(np.arcsin(6_378_137.0 / 9e6))
+    above = np.degrees(separation(sun, -here)) - limb  # of its middle
+    clear = np.abs(above + 0.266) > 0.02
+    half = clear & (above > -0.266) & (above < 0.0)
+    assert half.sum() > 3
+    np.testing.assert_allclose(np.degrees(watch.sun_least[half]), 50.0)
+    hidden = clear & (above < -0.266)
+    np.testing.assert_allclose(np.degrees(watch.sun_least[hidden]), 40.0)
+
+
 @pytest.mark.parametrize("twilight_deg", [-6.0, -15.0])
 def test_dark_by_the_suns_elevation(twilight_deg: float) -> None:
     at = np.arange(0.0, 86_400.0, 30.0)
