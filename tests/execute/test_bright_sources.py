@@ -16,7 +16,7 @@ from pipeline.errors import BadInput
 from pipeline.execute.blocks import render_block, target_class
 from pipeline.execute.check import reference
 from pipeline.execute.light import draw_stars
-from pipeline.execute.sources import FrameTarget, place_targets
+from pipeline.execute.sources import FrameTarget, place_targets, setting_stars
 from pipeline.physics.motion.streak import HALVINGS, POINT, Path
 from pipeline.physics.psf.pupil import Airy, Blur
 from pipeline.physics.psf.sampled import sampled
@@ -180,6 +180,18 @@ def test_the_brighter_a_target_the_closer_it_keeps_to_its_path(rate: float, phot
     floor_e, budget_e = plan.facts.sigma_floor_e, plan.responses.budget_e
     rises = math.sqrt(1.0 + photons * made.light_e / 6.0 / floor_e**2)
     assert off_px * made.light_e / 6.0 <= 1.01 * SHOWN * budget_e * rises
+
+
+@pytest.mark.parametrize("light_e", [1e3, 3e3])
+def test_a_star_that_sets_follows_its_way_as_if_it_did_not(light_e: float) -> None:
+    """A px of its way has the same light however much of it is seen, and may be off as little."""
+    plan, paths = plan_of({"kind": "gaussian", "sigma_px": 1.0}, 0.0, 0.0, roll_deg=10.0), []
+    for part in (0.1, 0.999):
+        stars = field(np.array([60.0]), np.array([60.0]), np.array([part * light_e]))
+        stars = replace(stars, visible_fraction=np.array([part]))
+        paths += [star.path for star in setting_stars(plan, geometry_of(plan), stars)]
+    assert paths[1].segments > 8
+    np.testing.assert_array_equal(paths[0].x_px, paths[1].x_px)
 
 
 @pytest.mark.parametrize("light_e", [1e8, 1e9])
