@@ -33,7 +33,7 @@ def test_scene_is_valid_and_complete(path):
 def test_sweep_is_valid(path, tmp_path):
     """Its axes, its first, middle and last points, by the check that a run begins with."""
     course = gather_course(path, tmp_path / "out")
-    names, _ = check(course)
+    names, _, _ = check(course)
     assert names == ("chaser",)
     assert course.sweep.points == 40
 

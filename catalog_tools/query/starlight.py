@@ -30,6 +30,7 @@ from ..engine.schedulers import TASKS_PER_WINDOW, LocalScheduler, Scheduler
 from ..errors import NO_ROOM, BadInput, Damaged, DiskFull
 from ..geometry.healpix_interpolation import neighbours
 from ..star_counts import EDGES_G_MAG, all_sky_count, interval_density
+from ..storage.durable import whole_file
 from ..storage.stores import LocalStore, Unreachable
 from .query import read_leaf
 
@@ -300,13 +301,10 @@ def _write(path: Path, made: StarlightMap) -> None:
         "bin_edges_g_mag": BIN_EDGES_G_MAG.tolist(),
     }
     text = np.frombuffer(json.dumps(about, sort_keys=True).encode(), np.uint8)
-    part = path.with_suffix(".part")
     try:
-        with part.open("wb") as file:
+        with whole_file(path) as part, part.open("wb") as file:
             np.savez_compressed(file, about=text, light=made.light)
-        part.replace(path)
     except OSError as error:
-        part.unlink(missing_ok=True)
         if error.errno in NO_ROOM:
             again = "make room and run the same command again"
             raise DiskFull(str(path), error.errno, again) from error

@@ -18,7 +18,7 @@ from pipeline.commands.options import (
     print_json,
     told_if_interrupted,
 )
-from pipeline.commands.pages import is_quiet, progress_listener
+from pipeline.commands.pages import is_quiet, print_warnings, progress_listener
 from pipeline.errors import BadInput
 from pipeline.lines import fold, pair
 from pipeline.spec.load import scene_yaml
@@ -66,7 +66,9 @@ def sweep(
     options = Options("slurm" if slurm else scheduler, workers, resume or retry_failed)
     kept = told_if_interrupted(str(output), lambda: "finished points are kept")
     with kept, progress_listener("points", is_quiet(as_json)) as listen:
-        report = run(file, output, options, retry_failed, listen)
+        report = run(
+            file, output, options, retry_failed, listen, None if as_json else print_warnings
+        )
     if as_json:
         print_json(report)
     else:
@@ -78,6 +80,7 @@ def _print_forecast(file: Path, as_json: bool) -> None:
     if as_json:
         print_json(told)
         return
+    print_warnings(told["warnings"])
     rows, columns = told["shape"]
     counts, each = told["different"], told["seconds_each"]
     drawn = ", ".join(f"{counts[kind]} of {kind}" for kind in ("stars", "targets", "sky"))
@@ -111,6 +114,7 @@ def _there(
     if as_json:
         print_json(report)
     else:
+        print_warnings(report["warnings"])
         _print(report, output)
 
 

@@ -69,12 +69,11 @@ def full_warnings(plan: ResolvedScene) -> list[str]:
     if not full:
         return []
     name = max(full, key=full.__getitem__)
-    more = f" and {len(full) - 1} more fill" if len(full) > 1 else " fills"
+    more = f" (and {len(full) - 1} more)" if len(full) > 1 else ""
     peak_e, frame = full[name]
     return [
-        f"targets: {name}{more} pixels (frame {frame}): the brightest would hold some {peak_e:.2g} "
-        f"e-, {peak_e / plan.full_e:.2g} times what a pixel holds; light and SNR are told as if "
-        "pixels held all"
+        f"targets: {name}{more} fills pixels: the brightest holds {peak_e / plan.full_e:.2g} times "
+        f"its {plan.full_e:.3g} e- in frame {frame}, if it could; light and SNR count all of that"
     ]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
+from pipeline.execute.outlook import full_warnings
 from pipeline.inputs.earth_orientation import gather_turned, turn_off_rad
 from pipeline.inputs.targets.populations import screened
 from pipeline.observe.times import Times
@@ -95,7 +96,7 @@ def _sensor_of(asked: Scene) -> tuple[ResolvedScene, list[str], bool]:
         g = found.geometry
         r = replace(r, responses=plan_responses(r.scene, r.facts, r.camera, g, sources=True))
     if refused is None:
-        return r, notes, True
+        return r, [*full_warnings(r), *notes], True
     read = read_files(accepting)
     there = {name: getattr(read, name) for name in ("pointing", "dwells", "exposure")}
     scene = r.scene.model_copy(update=there | {"targets": r.scene.targets[: len(asked.targets)]})

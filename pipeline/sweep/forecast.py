@@ -31,7 +31,7 @@ def forecast_course(course: Course) -> JsonObject:
     that keeps them; cpu_s : of one core, all points in one process. Raises BadInput as the sweep
     itself would.
     """
-    check(course)
+    warnings = check(course)[2]
     design, run = course.design, stages(course.run)
     shared = light_is_shared(scene_of(course, design, 0))
     spots = dict.fromkeys(k * (design.size - 1) // max(1, LOOKED_AT - 1) for k in range(LOOKED_AT))
@@ -59,6 +59,7 @@ def forecast_course(course: Course) -> JsonObject:
         "seconds_each": {"plan": plan_s, "light": light_s, "point": point_s},
         "worker_memory_mb": max(n["worker_memory_mb"] for n in needs),
         "metrics": list(course.sweep.metrics),
+        "warnings": warnings,
         "alone_cpu_s": design.size * needs[0]["cpu_s"],
     }
 

@@ -42,6 +42,7 @@ GROUPED = 4096  # points among which those that share their light are brought to
 MOST_TARGETS = 64
 
 Listener = Callable[["SweepProgress"], None]
+Warned = Callable[[list[str]], None]
 
 
 @dataclass(frozen=True)
@@ -59,13 +60,15 @@ def sweep(
     options: Options | None = None,
     retry_failed: bool = False,
     listen: Listener | None = None,
+    warn: Warned | None = None,
 ) -> JsonObject:
     """Run a sweep file into a folder and return its report.
 
+    warn : told the warnings of its first, middle and last point before any is drawn
     options.resume goes on with an unfinished one. Raises BadInput for a sweep that can't be run,
     before anything is; Incomplete where work stopped before its end (what is done is kept).
     """
-    return run_course(gather_course(path, out), out, options, retry_failed, listen)
+    return run_course(gather_course(path, out), out, options, retry_failed, listen, warn)
 
 
 def run_course(
@@ -74,17 +77,25 @@ def run_course(
     options: Options | None = None,
     retry_failed: bool = False,
     listen: Listener | None = None,
+    warn: Warned | None = None,
 ) -> JsonObject:
     """Run a sweep that was read already, as `sweep` does."""
     with full_disk(out):
-        return _run_course(course, out, options or Options(), retry_failed, listen)
+        return _run_course(course, out, options or Options(), retry_failed, listen, warn)
 
 
 def _run_course(
-    course: Course, out: Path, options: Options, retry_failed: bool, listen: Listener | None
+    course: Course,
+    out: Path,
+    options: Options,
+    retry_failed: bool,
+    listen: Listener | None,
+    warn: Warned | None,
 ) -> JsonObject:
     started = time.perf_counter()
-    names, digests = check(course)
+    names, digests, warnings = check(course)
+    if warn is not None:
+        warn(warnings)
     identity = ledger.identity_of(course.sweep, course.data, digests, files_of(course))
     ledger.begin(out, identity, options.resume)
     with only_writer(out):
@@ -106,6 +117,7 @@ def _run_course(
             "scheduler": options.scheduler,
             "parts_damaged": book.removed,
             "noise_floors": course.floors,
+            "warnings": warnings,
         }
         report = summarise(course.sweep, out, names, told)
         ledger.seal(out)
@@ -149,8 +161,9 @@ def _from(home: Path, value: object) -> object:
     return str((home / Path(value).expanduser()).resolve())
 
 
-def check(course: Course) -> tuple[tuple[str, ...], list[str]]:
-    """Refuse a sweep that can't be run; names of the targets measured, digests of catalogues.
+def check(course: Course) -> tuple[tuple[str, ...], list[str], list[str]]:
+    """Refuse a sweep that can't be run; names of the targets measured, digests of catalogues, and
+    the warnings of the points that are planned.
 
     Every axis is tried field by field, and the first, middle and last points are planned: a sweep
     is refused where none of them can be, a point that fails later is recorded.
@@ -158,15 +171,21 @@ def check(course: Course) -> tuple[tuple[str, ...], list[str]]:
     design = course.design
     check_axes(course)
     faults: list[NightglassError] = []
-    found: Prepared | None = None
-    for point in dict.fromkeys((0, design.size // 2, design.size - 1)):
+    found: list[Prepared] = []
+    warnings: dict[str, int] = {}
+    points = dict.fromkeys((0, design.size // 2, design.size - 1))
+    for point in points:
         try:
-            found = found or prepare(scene_of(course, design, point))
+            found.append(prepare(scene_of(course, design, point)))
         except NightglassError as error:
             faults.append(error)
-    if found is None:
+            continue
+        for warning in found[-1].plan.warnings:
+            warnings.setdefault(warning, point)
+    if not found:
         raise faults[0]
-    return _measured(course, found), [c.digest for c in found.catalogues]
+    said = [f"point {point}: {warning}" for warning, point in warnings.items()]
+    return _measured(course, found[0]), [c.digest for c in found[0].catalogues], said
 
 
 def _measured(course: Course, found: Prepared) -> tuple[str, ...]:

@@ -117,6 +117,7 @@ def _page(report: JsonObject, picture: str) -> str:
         f"<li>{n} x <code>{html.escape(text)}</code></li>" for text, n in report["messages"].items()
     )
     name = html.escape(report["sweep"])
+    doubts = "".join(f"<p><b>Warning</b>: {html.escape(text)}</p>" for text in report["warnings"])
     return (
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{name}</title><style>"
         "body{font:15px/1.4 sans-serif;margin:2em;max-width:80em}table{border-collapse:collapse}"
@@ -124,7 +125,7 @@ def _page(report: JsonObject, picture: str) -> str:
         "td:first-child,th:first-child{text-align:left}svg{max-width:100%;height:auto}</style>"
         f"<h1>{name}</h1><p>{report['points']} points, {report['failed']} failed, "
         f"{report['seconds']:.1f} s. Axes: {html.escape(', '.join(report['axes']))}.</p>"
-        "<table><tr><th>metric<th>known<th>least<th>mean<th>largest</tr>"
+        f"{doubts}<table><tr><th>metric<th>known<th>least<th>mean<th>largest</tr>"
         f"{cells}</table>{'<h2>Failures</h2><ul>' + faults + '</ul>' if faults else ''}{picture}\n"
     )
 

@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nightglass import open_product
+from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.sensor.detector import below_zero
 from pipeline.route.prepare import prepare
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
+from pipeline.spec.scene import Scene
 
 SCENE: dict[str, Any] = {
     "schema": "nightglass/scene/1", "name": "ends", "epoch": "2019-03-21T09:00:00Z",
@@ -79,3 +83,59 @@ def test_what_is_cut_off_agrees_with_draws(mean_e: float, read_e: float, zero_e:
     assert share == pytest.approx(np.mean(drawn < zero_e), abs=0.004)
     cut = np.maximum(drawn, zero_e) - drawn
     assert more_e == pytest.approx(cut.mean(), abs=6.0 * cut.std() / 400_000**0.5 + 1e-9)
+
+
+BALL = {
+    "name": "ball",
+    "orbit": {
+        "kind": "state", "position_m": [4407338.1, -41933021.2, 0.0],
+        "velocity_m_s": [3057.8229, 321.3901, 0.0],
+    },
+}  # fmt: skip
+FROM_ORBIT = {
+    "kind": "orbit",
+    "orbit": {
+        "kind": "state", "position_m": [7131858.8, -812572.7, 0.0],
+        "velocity_m_s": [-117.404, -1030.438, 7379.381],
+    },
+}  # fmt: skip
+
+
+def ball(full_well_e: float, diameter_m: float, followed: bool) -> Scene:
+    """A sphere before a camera that follows it, or that looks where it is at mid-exposure."""
+    scene = copy.deepcopy(SCENE) | {"epoch": "2019-05-12T09:00:00Z", "observer": FROM_ORBIT}
+    scene["sensor"] |= {"adc_bits": 32, "full_well_e": full_well_e}
+    scene["targets"] = [
+        BALL | {"body": {"kind": "sphere", "albedo": 0.2, "diameter_m": diameter_m}}
+    ]
+    scene["pointing"] = {"mode": "target", "target": "ball"}
+    scene["exposure"], scene["background"] = {"integration_s": 1.0}, {"uniform_e_per_s": 10.0}
+    scene["output"] = {"layers": ["dn", "targets_e"]}
+    if not followed:
+        g = plan_geometry(parse_scene(scene), np.array([0]), 0.0)
+        x, y, z = g.attitude[0, g.middle, 2]
+        at = np.degrees([np.arctan2(y, x), np.arcsin(z)])
+        scene["pointing"] = {
+            "mode": "sidereal", "boresight_ra_deg": at[0], "boresight_dec_deg": at[1]
+        }  # fmt: skip
+    return parse_scene(scene)
+
+
+@pytest.mark.parametrize(("diameter_m", "followed"), [(4.0, True), (800.0, True), (4.0, False)])
+def test_a_target_that_fills_pixels_is_told_as_it_is_drawn(
+    tmp_path: Path, diameter_m: float, followed: bool
+) -> None:
+    """A point, a disc, a streak: the factor told, and the brightest pixel where pixels hold all."""
+
+    def told(full_well_e: float) -> list[str]:
+        plan = prepare(ball(full_well_e, diameter_m, followed)).plan
+        return [w for w in plan.warnings if "fills pixels" in w]
+
+    assert told(1e12) == []
+    product = tmp_path / "out"
+    render(ball(1e12, diameter_m, followed), product, Options("synchronous"))
+    peak_e = 10.0 + float(open_product(product).cube["targets_e"].values.max())
+    (warning,) = told(peak_e / 7.0)
+    times = float(warning.split("the brightest holds ")[1].split(" times")[0])
+    assert times == pytest.approx(7.0, rel=0.4)  # of one phase of the response, of an even disc
+    assert told(peak_e * 1.7) == []

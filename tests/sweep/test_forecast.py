@@ -73,3 +73,23 @@ def test_dry_run_on_the_command_line(
     assert not out.exists()
     bad = nightglass("sweep", sweep_file([{"field": "sensor.gain", "values": [1]}]), "--dry-run")
     assert (bad.returncode, "axes.0" in bad.stderr) == (2, True)
+
+
+def test_warnings_of_points_are_told_first_and_kept(sweep_file: Any, tmp_path: Path) -> None:
+    """A target that fills pixels at the last point alone; and none where nothing is to be told."""
+    bright = {"field": "targets.0.body.albedo", "values": [1e-6, 1e-6, 1.0]}
+    file = sweep_file([bright], {"sensor.full_well_e": 300.0, "sensor.bias_dn": 500.0})
+    said = nightglass("sweep", file, "-o", tmp_path / "out")
+    assert said.returncode == 0, said.stderr
+    first = said.stdout.splitlines()[0] + said.stderr
+    assert "WARNING: point 2: targets:" in first, said.stdout
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    [warning] = report["warnings"]
+    assert "fills pixels" in warning
+    assert warning.startswith("point 2: ")
+    assert "<b>Warning</b>: point 2:" in (tmp_path / "out" / "summary.html").read_text()
+    again = nightglass("sweep", file, "-o", tmp_path / "none", "--dry-run")
+    assert "WARNING: point 2: targets:" in again.stdout
+    dim = sweep_file([bright | {"values": [1e-6, 2e-6]}], {"sensor.bias_dn": 500.0})
+    report = run_course(gather_course(dim, tmp_path / "dim"), tmp_path / "dim", Options())
+    assert report["warnings"] == []
