@@ -185,8 +185,9 @@ def of_rows(counts: Ints) -> Coverage:
 
     Where rows are dense a pixel with SEVERAL of them is covered. Where they are sparse, it is each
     pixel (of the finest order that will do) that holds AROUND together with the eight around it,
-    and these: evenly spread rows leave no gap, and a field ends about one spacing of its rows
-    beyond its last one. Fewer rows than AROUND, left alone far from all others, count for nothing.
+    and these: evenly spread rows leave no gap, and a field ends up to two such pixels, 3 to 6
+    spacings of its rows, beyond its last one. Fewer rows than AROUND, left alone far from all
+    others, count for nothing.
     """
     total, finest = int(counts.sum()), (counts.size // 12).bit_length() // 2
     if total < FEWEST_ROWS:

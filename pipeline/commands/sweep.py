@@ -114,7 +114,7 @@ def _there(
     if as_json:
         print_json(report)
     else:
-        print_warnings(report["warnings"])
+        print_warnings(report.get("warnings", []))  # a server may be older
         _print(report, output)
 
 

@@ -69,11 +69,11 @@ def full_warnings(plan: ResolvedScene) -> list[str]:
     if not full:
         return []
     name = max(full, key=full.__getitem__)
-    more = f" (and {len(full) - 1} more)" if len(full) > 1 else ""
+    more = f" ({len(full) - 1} more do)" if len(full) > 1 else ""
     peak_e, frame = full[name]
     return [
-        f"targets: {name}{more} fills pixels: the brightest holds {peak_e / plan.full_e:.2g} times "
-        f"its {plan.full_e:.3g} e- in frame {frame}, if it could; light and SNR count all of that"
+        f"targets: {name} fills pixels{more}: its brightest would hold {peak_e / plan.full_e:.2g} "
+        f"times the {plan.full_e:.3g} e- that fit, in frame {frame}; light and SNR count it all"
     ]
 
 

@@ -17,6 +17,8 @@ from pipeline.spec.scene import Scene
 MJD_ZERO = 2_400_000.5
 MOST_LOOKS = 16  # of a long scene: each reads the table
 DATA_ENDS_ERROR_S = 0.9  # UTC is kept within it of UT1, so leaving the difference out errs no more
+UTC_MJD = 36934  # 1960-01-01: before it UTC is taken for TAI, 32.184 s from TT, and TT - UT1
+BEFORE_UTC_ERROR_S = 35.0  # was -2.8 s in 1900 and 33.2 s in 1960 (Morrison & Stephenson 2004)
 
 
 def gather_dut1_s(utc1: float, utc2: float) -> tuple[float, str | None]:
@@ -29,9 +31,10 @@ def gather_dut1_s(utc1: float, utc2: float) -> tuple[float, str | None]:
     mjd = (utc1 - MJD_ZERO) + utc2
     before, after = (day.dut1_s for day in _days_around(int(mjd)))
     if before is None or after is None:
+        off_s = DATA_ENDS_ERROR_S if mjd >= UTC_MJD else BEFORE_UTC_ERROR_S
         return 0.0, (
             "no table of the Earth's rotation covers this date: UT1 = UTC, at most "
-            f"{DATA_ENDS_ERROR_S} s = {DATA_ENDS_ERROR_S * 15.04:.1f} arcsec of hour angle off"
+            f"{off_s} s = {off_s * 15.04:.1f} arcsec of hour angle off"
         )
     step = after - before
     step -= round(step)  # a leap second between the two days

@@ -27,7 +27,7 @@ from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.radiometry import ResponseCurve
 from pipeline.plan.coverage import FieldCoverage
 from pipeline.plan.facts import Facts, gather_facts
-from pipeline.plan.optics.optics import check_motion, optics_remarks
+from pipeline.plan.optics.optics import check_motion, optics_remarks, seeing_remarks
 from pipeline.plan.pointing.air import weather_remarks
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
 from pipeline.plan.pointing.paths import near_frame
@@ -163,6 +163,7 @@ def resolve(asked: Scene) -> Resolved:
             *remarks,
             *undrawn_remarks(asked, facts, light.colour),
             *optics_remarks(scene),
+            *seeing_remarks(scene, g),
             *flat_remarks(scene, maps),
             *weather_remarks(scene),
             *hurried_remarks(scene, g, near_frame(scene, g)),

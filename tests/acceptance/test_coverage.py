@@ -27,7 +27,7 @@ SCENE = {
     "sensor": {
         "shape": [64, 64], "pixel_pitch_um": 9.0, "focal_length_m": 0.5, "aperture_m": 0.1,
         "bandpass": {"kind": "named", "name": "bessell-V"},
-        "psf": {"kind": "gaussian", "sigma_px": 1.0}, "read_noise_e": 5.0,
+        "psf": {"kind": "gaussian", "sigma_px": 1.0}, "read_noise_e": 5.0, "bias_dn": 100,
     },
     "pointing": {"mode": "sidereal", "boresight_ra_deg": 100.0, "boresight_dec_deg": 0.0},
     "exposure": {"integration_s": 1.0, "frames": 1},

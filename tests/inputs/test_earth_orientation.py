@@ -40,11 +40,19 @@ def test_two_part_dates_agree():
     assert gather_dut1_s(2458593.5, 0.125) == gather_dut1_s(2458593.625, 0.0)
 
 
-@pytest.mark.parametrize("jd", [2433282.5, 2440000.5, 2488069.5])
-def test_limits_dates_beyond_the_tables_are_said(jd):
+@pytest.mark.parametrize(
+    ("jd", "off"), [(2415020.5, 35.0), (2433282.5, 35.0), (2440000.5, 0.9), (2488069.5, 0.9)]
+)
+def test_limits_dates_beyond_the_tables_are_said(jd, off):
+    """Before 1960 UTC counts as TAI: TT - UT1 of 1900 and 1950 was -2.8 and 29.15 s, not 32.184."""
     value, remark = gather_dut1_s(jd, 0.0)
     assert value == 0.0
-    assert "UT1 = UTC" in remark
+    assert f"UT1 = UTC, at most {off} s" in remark
+    before = {2415020.5: -2.8, 2433282.5: 29.15}
+    if jd in before:
+        t = instants((jd, 0.0), [0.0])
+        tt_minus_ut1_s = 86400.0 * ((t.tt1 - t.ut11) + (t.tt2 - t.ut12))
+        assert abs(tt_minus_ut1_s[0] - before[jd]) < off
 
 
 def test_limits_stay_within_a_second():

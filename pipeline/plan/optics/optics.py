@@ -5,9 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, fields, replace
 
+import numpy as np
+
 from catalog_tools.documents import JsonObject
+from pipeline.arrays import Geometry
 from pipeline.errors import BadInput
 from pipeline.kept import kept
+from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.psf.aperture import Pupil, SpiderVanes
 from pipeline.physics.psf.band import (
     BandOptics,
@@ -24,6 +28,7 @@ from pipeline.physics.psf.von_karman import LEAST_ALONE_R0, LEAST_OUTER_R0, VonK
 from pipeline.physics.psf.zernike import defocus_rms
 from pipeline.physics.radiometry import ResponseCurve
 from pipeline.plan.pointing.attitude_motion import fast_blur_px
+from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import TimeDelay
 from pipeline.spec.sensor.sensor import (
@@ -42,6 +47,7 @@ SMALLEST_Q, LARGEST_Q = 0.02, 64.0
 LARGEST_CORE_PX = 256.0
 LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
 FASTEST_F_NUMBER = 0.5
+LOWEST_SINE, NOTICED = 0.05, 1.02  # of elevation, for the airmass; what seeing may be wider unsaid
 MOST_BLUR_PX = 50.0  # rms per axis, of fast motion of the pointing and of charge diffusion
 
 
@@ -264,6 +270,28 @@ def optics_remarks(scene: Scene) -> list[str]:
         f"sensor.aperture_m: {s.aperture_m:g} m over a focal length of {s.focal_length_m:g} m is "
         f"F/{f_number:.2g}; no optics in air is faster than F/{FASTEST_F_NUMBER:g}: a sky gives "
         f"{(FASTEST_F_NUMBER / f_number) ** 2:.3g} times what any could collect"
+    ]
+
+
+def seeing_remarks(scene: Scene, g: Geometry) -> list[str]:
+    """What is said of seeing away from the zenith: it is drawn as it is given.
+
+    Seeing of one turbulent air grows as the airmass to 0.6 (Fried 1966, JOSA 56, 1372).
+    """
+    ground = isinstance(scene.observer, GroundObserver)
+    if not (ground and isinstance(scene.sensor.psf, KolmogorovPsf)):
+        return []
+    middle = g.middle
+    up = g.observer_m[:, middle] - earth_and_sun(g.tt1[:, middle], g.tt2[:, middle]).position_m
+    sines = np.sum(g.attitude[:, middle, 2] * up, axis=-1) / np.sqrt(np.sum(up**2, axis=-1))
+    lowest = int(np.argmin(sines))
+    wider = max(float(sines[lowest]), LOWEST_SINE) ** -0.6
+    if wider < NOTICED:
+        return []
+    return [
+        "sensor.psf: seeing is that along the line of sight, the same at all elevations; what is "
+        f"told for the zenith is {wider:.2g} times as wide at "
+        f"{math.degrees(math.asin(sines[lowest])):.2g} deg (frame {g.frame[lowest]})"
     ]
 
 

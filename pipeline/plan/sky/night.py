@@ -19,7 +19,7 @@ from pipeline.plan.decision import Decision
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.sky.atmosphere import Extinction
-from pipeline.spec.sky.background import Background
+from pipeline.spec.sky.background import Airglow, Background
 
 if TYPE_CHECKING:
     from pipeline.physics.sky.extinction import BandExtinction
@@ -101,6 +101,12 @@ def _moon_share(place: Array, sun: Array, moon: Array) -> float:
     return share * float(sunlit_past_earth(moon[None], sun)[0])
 
 
+def _flux_sfu(scene: Scene) -> float:
+    """The Sun's radio flux that the airglow is for."""
+    asked = None if scene.background is None else scene.background.airglow
+    return (asked if isinstance(asked, Airglow) else Airglow()).solar_flux_sfu
+
+
 def night_told(scene: Scene, ends: list[dict[str, Array]], gathered: float) -> list[Decision]:
     """What the air sends, and how well it is known; ends : e-/s and pixel of two frames;
     gathered : of the NightBand."""
@@ -110,7 +116,7 @@ def night_told(scene: Scene, ends: list[dict[str, Array]], gathered: float) -> l
     )
     known = {
         "airglow": "zenith of the Paranal sky model (Noll et al. 2012) in the band, a layer at 90 "
-        "km (van Rhijn), the Sun's activity as given; a night differs by 50%"
+        f"km (van Rhijn), for a Sun of {_flux_sfu(scene):g} sfu at 10.7 cm; a night differs by 50%"
         + (narrow if gathered > MOST_GATHERED else ""),
         "moonlight": "Krisciunas & Schaefer 1991 with the band's own extinction (23% in V); one "
         "scattering law for all wavelengths",

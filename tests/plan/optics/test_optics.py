@@ -16,7 +16,7 @@ from pipeline.physics.psf.sampled import sampled
 from pipeline.physics.psf.seeing import Kolmogorov, Moffat
 from pipeline.physics.radiometry import box, collecting_area_m2
 from pipeline.plan.facts import Facts, gather_facts
-from pipeline.plan.optics.optics import describe, optics_remarks
+from pipeline.plan.optics.optics import describe, optics_remarks, seeing_remarks
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry
 from pipeline.plan.response.responses import plan_responses
 from pipeline.spec.scene import Scene
@@ -38,6 +38,23 @@ def test_apertures_that_no_optics_has_are_told(scene: Make, aperture_m: float, t
     told = optics_remarks(scene({"sensor.aperture_m": aperture_m}))
     assert len(told) == bool(times)
     assert all(f"{times} what any could collect" in sentence for sentence in told)
+
+
+@pytest.mark.parametrize(("elevation_deg", "wider"), [(89.0, ""), (30.0, "1.5"), (12.0, "2.6")])
+def test_seeing_away_from_the_zenith_is_told(
+    scene: Make, elevation_deg: float, wider: str
+) -> None:
+    """Airmass to 0.6; nothing near the zenith, and nothing of an image without seeing."""
+    site = {
+        "observer": {"kind": "ground", "latitude_deg": 20, "longitude_deg": 30, "height_m": 3000},
+        "pointing": {"mode": "local", "azimuth_deg": 10.0, "elevation_deg": elevation_deg},
+    }
+    air = scene(site | {"sensor.psf": {"kind": "kolmogorov", "fwhm_arcsec": 1.0}})
+    told = seeing_remarks(air, plan_geometry(air, np.array([0]), 0.0))
+    assert len(told) == bool(wider)
+    assert all(f"is {wider} times as wide at {elevation_deg:.2g}" in said for said in told)
+    gaussian = scene(site)
+    assert seeing_remarks(gaussian, plan_geometry(gaussian, np.array([0]), 0.0)) == []
 
 
 def test_airy_over_its_band_as_the_accuracy_asks(scene: Make) -> None:
