@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Geometry
@@ -31,7 +30,8 @@ def outlook(plan: Plan) -> JsonObject:
     targets : of up to TOLD of these the frames, magnitude and SNR where they are seen best;
     limiting_g_mag : None without stars, or where none reaches that SNR
     """
-    frames = _looked_at(plan)
+    most = min(LOOKED_AT, max(1, PLACED // max(1, len(plan.scene.targets))))
+    frames = np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, most)).astype(np.int64))
     names = tuple(t.name for t in plan.scene.targets)
     best: dict[str, JsonObject] = {}
     limits = []
@@ -55,41 +55,37 @@ def outlook(plan: Plan) -> JsonObject:
     }
 
 
-def full_warnings(plan: ResolvedScene) -> list[str]:
-    """The warning on targets that fill pixels, which hold less of their light than is told.
-
-    In the frames that the outlook looks at.
-    """
+def full_warnings(plan: ResolvedScene, g: Geometry) -> list[str]:
+    """The warning on targets that fill pixels, which hold less of their light than is told, in the
+    frames of a geometry."""
     if not plan.scene.targets or math.isinf(plan.full_e):
         return []
     worst: dict[str, tuple[float, int]] = {}
-    for name, found_e, frame in _brightest_pixels(plan):
+    for name, found_e, frame in _brightest_pixels(plan, g):
         worst[name] = max(worst.get(name, (0.0, 0)), (found_e, frame))
     full = {name: found for name, found in worst.items() if found[0] > plan.full_e}
     if not full:
         return []
     name = max(full, key=full.__getitem__)
     more = f" ({len(full) - 1} more do)" if len(full) > 1 else ""
-    peak_e, frame = full[name]
+    times, frame = float(f"{full[name][0] / plan.full_e:.2g}"), full[name][1]
     return [
-        f"targets: {name} fills pixels{more}: its brightest would hold {peak_e / plan.full_e:.2g} "
-        f"times the {plan.full_e:.3g} e- that fit, in frame {frame}; light and SNR count it all"
+        f"targets: {name} fills pixels{more}: its brightest would hold {times:g} times the "
+        f"{plan.full_e:.3g} e- that fit, in frame {frame}; light and SNR count it all"
     ]
 
 
-def _brightest_pixels(plan: ResolvedScene) -> Iterator[tuple[str, float, int]]:
-    """Names of targets in the frames looked at, charge of their brightest pixel [e-], and where."""
-    for frame in _looked_at(plan).tolist():
-        g = plan_geometry(plan.scene, np.array([frame]), plan.dut1_s)
-        for t in place_targets(plan, g):
-            if _is_inside(plan, t) and plan.facts.flat * t.light_e > plan.full_e:
+def _brightest_pixels(plan: ResolvedScene, g: Geometry) -> Iterator[tuple[str, float, int]]:
+    """Names of bright targets in frames, charge of their brightest pixel [e-], and the frame."""
+    facts, full_e = plan.facts, plan.full_e
+    for k, frame in enumerate(g.frame.tolist()):
+        one, time_s = g.frame_slice(k), plan.integration_s(frame)
+        brightest = float(one.target_light.max(initial=0.0))
+        if facts.flat * plan.sun_rate_e_s_m2 * facts.area_m2 * time_s * brightest <= full_e:
+            continue
+        for t in place_targets(plan, one):
+            if _is_inside(plan, t) and facts.flat * t.light_e > full_e:
                 yield plan.scene.targets[t.index].name, brightest_pixel_e(plan, t, frame), frame
-
-
-def _looked_at(plan: ResolvedScene) -> NDArray[np.int64]:
-    """Frames that are looked at, evenly through the scene: fewer of many targets."""
-    most = min(LOOKED_AT, max(1, PLACED // max(1, len(plan.scene.targets))))
-    return np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, most)).astype(np.int64))
 
 
 def _is_inside(plan: ResolvedScene, t: FrameTarget) -> bool:

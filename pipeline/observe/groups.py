@@ -96,7 +96,7 @@ def _sensor_of(asked: Scene) -> tuple[ResolvedScene, list[str], bool]:
         g = found.geometry
         r = replace(r, responses=plan_responses(r.scene, r.facts, r.camera, g, sources=True))
     if refused is None:
-        return r, [*full_warnings(r), *notes], True
+        return r, [*full_warnings(r, found.geometry), *notes], True
     read = read_files(accepting)
     there = {name: getattr(read, name) for name in ("pointing", "dwells", "exposure")}
     scene = r.scene.model_copy(update=there | {"targets": r.scene.targets[: len(asked.targets)]})

@@ -66,7 +66,7 @@ def prepare(scene: Scene) -> Prepared:
     r = resolve(scene)
     warnings = r.warnings
     if r.scene.scene.targets:
-        warnings = (*warnings, *_drawing().full_warnings(r.scene))
+        warnings = (*warnings, *_drawing().full_warnings(r.scene, r.geometry))
     plan = make_plan(r.scene, r.geometry, r.stars, r.remarks, warnings, r.targets)
     spent = _spent(plan, r, started)
     return Prepared(plan, r.maps, r.catalogues, r.left_out, spent, r.rays)
