@@ -58,8 +58,8 @@ def outlook(plan: Plan) -> JsonObject:
 def full_warnings(plan: ResolvedScene, g: Geometry) -> list[str]:
     """The warning on targets that fill pixels, which hold less of their light than is told, in the
     frames of a geometry."""
-    if not plan.scene.targets or math.isinf(plan.full_e):
-        return []
+    if not plan.scene.targets or not 0.0 < plan.full_e < math.inf:
+        return []  # nothing fits: said of all pixels
     worst: dict[str, tuple[float, int]] = {}
     for name, found_e, frame in _brightest_pixels(plan, g):
         worst[name] = max(worst.get(name, (0.0, 0)), (found_e, frame))

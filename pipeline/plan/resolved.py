@@ -104,7 +104,8 @@ class ResolvedScene:
     def full_e(self) -> float:
         """Charge of a typical pixel [e-] that its well or its converter ends at."""
         s = self.scene.sensor
-        return min(float(collected_for(s, self.facts.top_e)), s.full_well_e or math.inf)
+        top_e = max(0.0, float(collected_for(s, self.facts.top_e)))  # a bias may leave no room
+        return min(top_e, s.full_well_e or math.inf)
 
     def empty_e(self, sky_e_s: Array | float, frame: int = 0) -> Array:
         """Charge (...) of a pixel that holds no source, under skies (...) [e-/s], in a frame."""

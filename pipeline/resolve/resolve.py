@@ -229,10 +229,13 @@ def _cut_off(resolved: ResolvedScene) -> list[str]:
     x, y = np.array(resolved.camera.centre_px)[:, None]
     frame = int(np.argmin(frame_times(resolved.scene, np.arange(resolved.frames))[1]))
     mean_e = float(resolved.empty_e(resolved.sky_e_s(frame, x, y), frame)[0])
-    facts = resolved.facts
-    share, more_e = below_zero(resolved.scene.sensor, mean_e, facts.read_noise_e, facts.zero_e)
+    facts, s = resolved.facts, resolved.scene.sensor
+    half_e = 0.5 * (facts.top_e - facts.zero_e) / (2.0**s.adc_bits - 1.0)
+    half_e *= s.adc_rounding == "half_even"  # what is less far below 0 DN is rounded to it
+    share, more_e = below_zero(s, mean_e, facts.read_noise_e, facts.zero_e - half_e)
     if share < MANY_CUT:
         return []
+    more_e += half_e * share
     return [
         f"sensor.bias_dn: {share:.1%} of the pixels without a source lie below 0 DN in frame "
         f"{frame} and read 0: the mean is {more_e:.3g} e- too high, the noise too low; a bias of "

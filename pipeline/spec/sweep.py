@@ -179,9 +179,6 @@ class Sweep(Strict):
                     "allowed: no count where the design is quasi-random, a count elsewhere",
                     {"field": f"axes.{i}.count"},
                 )
-        if self.seeds > 1 and any("seed" in axis.fields for axis in self.axes):
-            allowed = {"allowed": "allowed: 1 where seed is an axis", "field": "seeds"}
-            raise PydanticCustomError("seeds", "{allowed}", allowed)
         lengths = [axis_length(axis) for axis in self.axes]
         if isinstance(self.design, Zip) and len(set(lengths)) > 1:
             raise PydanticCustomError(

@@ -171,21 +171,22 @@ def check(course: Course) -> tuple[tuple[str, ...], list[str], list[str]]:
     design = course.design
     check_axes(course)
     faults: list[NightglassError] = []
-    found: list[Prepared] = []
+    found: Prepared | None = None
     warnings: dict[str, int] = {}
     points = dict.fromkeys((0, design.size // 2, design.size - 1))
     for point in points:
         try:
-            found.append(prepare(scene_of(course, design, point)))
+            one = prepare(scene_of(course, design, point))
         except NightglassError as error:
             faults.append(error)
             continue
-        for warning in found[-1].plan.warnings:
+        found = found or one
+        for warning in one.plan.warnings:
             warnings.setdefault(warning, point)
-    if not found:
+    if found is None:
         raise faults[0]
     said = [f"point {point}: {warning}" for warning, point in warnings.items()]
-    return _measured(course, found[0]), [c.digest for c in found[0].catalogues], said
+    return _measured(course, found), [c.digest for c in found.catalogues], said
 
 
 def _measured(course: Course, found: Prepared) -> tuple[str, ...]:

@@ -62,10 +62,11 @@ def test_a_full_converter_is_told_of_amplifiers() -> None:
 
 def test_noise_below_zero_is_told_with_its_size() -> None:
     (told,) = warnings(0.5, bias_dn=0)
-    assert "34.4% of the pixels without a source lie below 0 DN" in told
-    assert "the mean is 1.42 e- too high" in told
+    assert "30.1% of the pixels without a source lie below 0 DN" in told
+    assert "the mean is 1.41 e- too high" in told
     assert not warnings(0.5)
     assert not warnings(20.0, bias_dn=0)
+    assert not warnings(0.0, bias_dn=0, read_noise_e=0.1)  # all within half a DN of 0
     assert not warnings(0.2, bias_dn=0, read_noise_e=0.0)  # photons alone are never below 0
     (all_of_them,) = warnings(100.0, bias_dn=-400)
     assert "100.0% of the pixels" in all_of_them
@@ -139,3 +140,12 @@ def test_a_target_that_fills_pixels_is_told_as_it_is_drawn(
     times = float(warning.split("would hold ")[1].split(" times")[0])
     assert times == pytest.approx(7.0, rel=0.4)  # of one phase of the response, of an even disc
     assert told(peak_e * 1.7) == []
+
+
+@pytest.mark.parametrize("bias_dn", [65535.0, 66000.0])
+def test_limits_a_bias_that_leaves_no_room(bias_dn: float) -> None:
+    scene = ball(1e5, 4.0, True)
+    sensor = scene.sensor.model_copy(update={"adc_bits": 16, "bias_dn": bias_dn})
+    told = prepare(scene.model_copy(update={"sensor": sensor})).plan.warnings
+    assert [w for w in told if "(0 e-, its full well or the converter's top)" in w]
+    assert not [w for w in told if "fills pixels" in w]

@@ -55,8 +55,7 @@ def most_looks(body: Body | MeshBody) -> float:
 
 def has_means(body: Body | MeshBody, asked: Array) -> NDArray[np.bool_]:
     """Exposures (F,) in which a body's light at the nodes is its mean around each of them."""
-    fast = (asked > MOST_LIGHT_NODES - 1) & (asked <= most_looks(body))
-    return fast & (not isinstance(body, MeshBody))
+    return (asked > MOST_LIGHT_NODES - 1) & (not isinstance(body, MeshBody))
 
 
 def mean_light(light: Callable[[Array], Array], nodes: int, asked: float, share: float) -> Array:
@@ -65,9 +64,9 @@ def mean_light(light: Callable[[Array], Array], nodes: int, asked: float, share:
 
     light : of places (n,) in the exposure, 0 to 1; a node's mean is weighted by a hat that falls
     to zero at the next nodes. Looked at FINER times as often as asked, and oftener until the whole
-    changes by `share` of itself at most.
+    changes by `share` of itself at most; some MOST_FINE times at most.
     """
-    each = 2 * int(np.ceil(0.5 * FINER * asked / (nodes - 1)))
+    each = 2 * int(np.ceil(0.5 * min(FINER * asked, MOST_FINE) / (nodes - 1)))
     while True:
         fine = light(np.linspace(0.0, 1.0, each * (nodes - 1) + 1))
         whole, half = (float(np.trapezoid(v)) / (len(v) - 1) for v in (fine, fine[::2]))
@@ -76,8 +75,8 @@ def mean_light(light: Callable[[Array], Array], nodes: int, asked: float, share:
         each *= 2
     between, part = fine[:-1].reshape(nodes - 1, each), np.arange(each) / each
     out = np.zeros(nodes)
-    out[:-1] += between @ (1.0 - part)
-    out[1:] += between @ part
+    out[:-1] += np.sum(between * (1.0 - part), axis=-1)  # not a product of matrices: its bits
+    out[1:] += np.sum(between * part, axis=-1)  # may follow how many threads share it
     out[[0, -1]] += -0.5 * fine[0], 0.5 * fine[-1]
     out[[0, -1]] *= 2.0
     return out / each

@@ -70,9 +70,9 @@ def light_off(scene: Scene, g: Geometry, near: NDArray[np.bool_]) -> float:
     if any((row > most_looks(body)).any() for body, row in zip(bodies, asked, strict=True)):
         return 1.0
     means = np.array([has_means(body, row) for body, row in zip(bodies, asked, strict=True)])
+    if last_row_late_s(scene) or not means.any():  # exposure and reading out may differ in it
+        return flicker_share(g, near)
     plain = flicker_share(g, near & ~means)
-    if not means.any():
-        return plain
     steps_px = np.hypot(np.diff(g.target_x_px), np.diff(g.target_y_px)).max(axis=-1)
     moved = min(1.0, STEEPEST_PER_PX * float(steps_px[means].max()))
     return max(plain, CLOSE * scene.accuracy.flux_fraction + moved * flicker_share(g, means))
