@@ -18,7 +18,7 @@ from pipeline.execute.sources import FrameTarget, place_targets
 from pipeline.physics.detection import filtered, peak_near
 from pipeline.physics.noise.chain import calibrated_e
 from pipeline.plan.plan import Plan
-from pipeline.plan.sensor.detector import collected_for
+from pipeline.plan.sensor.detector import full_e
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.spec.sweep import Detection
 from pipeline.store.markers import cell_checksums
@@ -87,7 +87,9 @@ class Measurement:
                 light = self._calibrated(frame, tile, part, dn)
                 window.image_e[_cut(window.place, part)] = light
         if "saturation" in self.metrics:
-            self._saturated += int(np.count_nonzero(mean_e >= self._full_e(tile)))
+            terms = (_of(tile, v) for v in (self.maps.gain_e_per_dn, self.maps.bias_dn))
+            full = full_e(self.plan.scene.sensor, *terms)
+            self._saturated += int(np.count_nonzero(mean_e >= full))
             self._pixels += mean_e.size
 
     def end_frame(self) -> None:
@@ -134,14 +136,6 @@ class Measurement:
         if plan.colour is not None:
             out["limiting_g_mag"] = limiting_mag(plan, least, time_s)
         return out
-
-    def _full_e(self, tile: Tile) -> float | Array:
-        """Mean charge from which a pixel is full: of its well, or at the converter's top [e-]."""
-        s = self.plan.scene.sensor
-        top = float((1 << s.adc_bits) - 1)
-        full_e = (top - _of(tile, self.maps.bias_dn)) * _of(tile, self.maps.gain_e_per_dn)
-        full = collected_for(s, full_e)
-        return full if s.full_well_e is None else np.minimum(full, s.full_well_e)
 
     def _calibrated(
         self, frame: int, tile: Tile, part: Tile, dn: np.ndarray, step: int = 1

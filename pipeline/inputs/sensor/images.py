@@ -50,7 +50,7 @@ def declared_unit(given: str) -> str:
     if not Path(given).name.endswith(FITS_ENDINGS):
         return ""
     with fits().open(given) as hdus:
-        units = (h.header.get("BUNIT") for h in hdus if getattr(h, "data", None) is not None)
+        units = (h.header.get("BUNIT") for h in hdus if h.header.get("NAXIS"))  # none is decoded
         return str(next(units, None) or "").strip()
 
 

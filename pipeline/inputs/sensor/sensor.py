@@ -34,19 +34,11 @@ def flat_remarks(scene: Scene, maps: SensorMaps) -> list[str]:
     ]
 
 
-UNITS = {  # of the images, the first as it is said; in these spellings, without case and spaces
-    "dark_e_per_s": (
-        "e-/s",
-        "electron/s",
-        "electrons/s",
-        "electron s-1",
-        "electron s**-1",
-        "electron/sec",
-        "e/s",
-    ),
-    "read_noise_e": ("e-", "electron", "electrons", "e"),
-    "gain_e_per_dn": ("e-/DN", "electron/adu", "electrons/adu", "electron/dn", "e-/adu", "e/adu"),
-    "bias_dn": ("DN", "adu", "count", "counts", "ct"),
+UNITS = {  # of the images, the first as it is said; in these spellings, as `_plain` has them
+    "dark_e_per_s": ("e-/s", "electron/s", "electron s-1", "electron s**-1", "electron/sec", "e/s"),
+    "read_noise_e": ("e-", "electron", "e"),
+    "gain_e_per_dn": ("e-/DN", "electron/adu", "e/adu"),
+    "bias_dn": ("DN", "count", "counts", "ct"),
 }
 
 

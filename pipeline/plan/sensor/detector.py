@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -34,40 +35,42 @@ def quieter_e2(scene: Scene, maps: SensorMaps) -> float:
     reading, rounding and dark, in the shortest exposure."""
     time_s = integration_range_s(scene)[0] * scene.sensor.photon_noise
     names = ("dark_e_per_s", "read_noise_e", "gain_e_per_dn")
-    values = [np.asarray(getattr(maps, name)) for name in names]
-    if not any(v.ndim for v in values):
+    if not any(np.ndim(getattr(maps, name)) for name in names):
         return 0.0
 
     def variance(dark_e_s: Array | float, read_e: Array | float, gain: Array | float) -> Array:
         return np.asarray(dark_e_s * time_s + np.square(read_e) + np.square(gain) / 12.0)
 
-    step = max(1, math.prod(scene.sensor.shape) // LOOKED_AT) | 1  # odd: no column by itself
-    some = (v.ravel()[::step] if v.ndim else v for v in values)
-    quiet = float(np.quantile(variance(*some), QUIET, method="lower"))
+    quiet = float(np.quantile(variance(*_some(scene, maps, names)), QUIET, method="lower"))
     return max(0.0, float(variance(*map(maps.typical, names))) - quiet)
 
 
 def converter_e(scene: Scene, maps: SensorMaps) -> tuple[float, float]:
     """Signals of a typical pixel [e-] at the two ends of its converter (medians)."""
-    s = scene.sensor
-    step = max(1, math.prod(s.shape) // LOOKED_AT) | 1  # odd: no column by itself
-    values = (np.asarray(v) for v in (maps.bias_dn, maps.gain_e_per_dn))
-    bias, gain = (v.ravel()[::step] if v.ndim else v for v in values)
-    ends = ((dn - bias) * gain for dn in (0.0, 2.0**s.adc_bits - 1.0))
+    gain, bias = _some(scene, maps, ("gain_e_per_dn", "bias_dn"))
+    ends = ((dn - bias) * gain for dn in (0.0, 2.0**scene.sensor.adc_bits - 1.0))
     zero_e, top_e = (float(np.median(end)) for end in ends)
     return zero_e, top_e
 
 
+def full_e(sensor: Sensor, gain_e_per_dn: Array | float, bias_dn: Array | float) -> Array:
+    """Charge [e-] from which pixels are full: of their well, or at the converter's top."""
+    top_e = (2.0**sensor.adc_bits - 1.0 - bias_dn) * gain_e_per_dn
+    return np.minimum(collected_for(sensor, top_e), sensor.full_well_e or math.inf)
+
+
 def full_share(scene: Scene, maps: SensorMaps, sky_e_s: float, time_s: float) -> float:
     """Which part of the pixels sky [e-/s] and dark current alone fill in an exposure."""
-    s = scene.sensor
     names = ("flat", "dark_e_per_s", "gain_e_per_dn", "bias_dn")
-    step = max(1, math.prod(s.shape) // LOOKED_AT) | 1  # odd: no column by itself
+    flat, dark, gain, bias = _some(scene, maps, names)
+    return float(np.mean((flat * sky_e_s + dark) * time_s >= full_e(scene.sensor, gain, bias)))
+
+
+def _some(scene: Scene, maps: SensorMaps, names: Sequence[str]) -> list[Array]:
+    """Values of some maps in the same pixels, not all of a large sensor's; numbers as they are."""
+    step = max(1, math.prod(scene.sensor.shape) // LOOKED_AT) | 1  # odd: no column by itself
     values = (np.asarray(getattr(maps, name)) for name in names)
-    flat, dark, gain, bias = (v.ravel()[::step] if v.ndim else v for v in values)
-    top_e = collected_for(s, (2.0**s.adc_bits - 1.0 - bias) * gain)
-    full_e = np.minimum(top_e, s.full_well_e or math.inf)
-    return float(np.mean((flat * sky_e_s + dark) * time_s >= full_e))
+    return [v.ravel()[::step] if v.ndim else v for v in values]
 
 
 def below_zero(
