@@ -47,6 +47,7 @@ class Spent:
     cpu_s : CPU seconds of planning; geometry_s : of them for the geometry of `frames` frames
     excursion_px : farthest that a star moves from its place at mid-exposure
     beyond : whether a target may be drawn by quadrature, as a point too bright for all classes
+    near : whether a target may light a frame, from beside it too
     """
 
     cpu_s: float = 0.0
@@ -54,6 +55,7 @@ class Spent:
     frames: int = 1
     excursion_px: float = 0.0
     beyond: bool = False
+    near: bool = True
 
 
 NOTHING_SPENT = Spent()
@@ -103,8 +105,8 @@ def predict(
     drawn_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL + _wings_s(plan, spent)
     drawn_s -= stars * PLACE_S_PER_STAR
     light_s = plan.frames * placed_s + math.ceil(plan.frames / plan.shared_frames) * drawn_s
-    once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan) + _profiles_s(plan, spent)
-    once_s += _cores_s(plan)
+    once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan, spent) + _profiles_s(plan, spent)
+    once_s += _cores_s(plan, spent)
     return {
         "cpu_s": least_cpu_s(plan.scene) + once_s + light_s,
         "worker_memory_mb": sum(_memory_mb(plan, forecast, spent).values()),
@@ -161,7 +163,7 @@ def _memory_mb(plan: Plan, forecast: StarForecast | None, spent: Spent) -> dict[
     if _in_crowds(plan, stars):
         pixels = min(math.prod(plan.scene.sensor.shape), BLOCK_PX**2)
         out["crowds"] = CROWD_BYTES_PER_PIXEL * pixels / 1e6
-    if r.spacing_px:
+    if r.spacing_px and _classes_used(plan, spent):
         classes = 4.0 + min(CLASSES_USED, len(r.classes))
         still = _grid_points(plan, 0.0) * 8.0 * classes
         making = KERNEL_BYTES_PER_POINT * _kernel_points(plan)
@@ -190,7 +192,7 @@ def _test_points(plan: Plan) -> float:
 def _wings_s(plan: Plan, spent: Spent) -> float:
     """CPU seconds of the grids of wings of a frame."""
     r = plan.responses
-    if not r.spacing_px:
+    if not (r.spacing_px and _classes_used(plan, spent)):
         return 0.0
     blocks = math.prod(math.ceil(n / BLOCK_PX) for n in plan.scene.sensor.shape)
     each = GRID_S_PER_POINT * min(CLASSES_USED, len(r.classes))
@@ -199,7 +201,7 @@ def _wings_s(plan: Plan, spent: Spent) -> float:
     return blocks * each * _grid_points(plan, spent.excursion_px)
 
 
-def _kernels_s(plan: Plan) -> float:
+def _kernels_s(plan: Plan, spent: Spent) -> float:
     """CPU seconds of making the wings: of a block's grid and of each grid of the check.
 
     Once in a process, or for every frame where they are more than are kept.
@@ -207,7 +209,7 @@ def _kernels_s(plan: Plan) -> float:
     r = plan.responses
     if not r.spacing_px:
         return 0.0
-    kernels = len(r.blurs) * _classes_used(plan)
+    kernels = len(r.blurs) * _classes_used(plan, spent)
     of_frames = plan.frames if kernels * 8.0 * _grid_points(plan, 0.0) > KERNEL_BYTES else 1
     windows = 2 * check_count(plan.scene)
     fine = fine_ends(r.spacing_px, r.reach_px)
@@ -218,13 +220,13 @@ def _kernels_s(plan: Plan) -> float:
     return kernels * each * points
 
 
-def _cores_s(plan: Plan) -> float:
+def _cores_s(plan: Plan, spent: Spent) -> float:
     """CPU seconds of making the check's cores, twice as wide as those that draw.
 
     Once in a process, or, where all cores are more than are kept, for every window; then those
     that draw stars, and their truth's, are made again for every frame.
     """
-    r, used = plan.responses, math.ceil(_classes_used(plan))
+    r, used = plan.responses, math.ceil(_classes_used(plan, spent))
     if not (r.classes and used):
         return 0.0
     finest = [oversampling_for(blur) for blur in r.blurs]
@@ -242,11 +244,12 @@ def _cores_s(plan: Plan) -> float:
     return CORE_S_PER_SAMPLE * (of_check * windows + of_frames)
 
 
-def _classes_used(plan: Plan) -> float:
+def _classes_used(plan: Plan, spent: Spent) -> float:
     """How many of the core classes have sources near a frame."""
     r, scene = plan.responses, plan.scene
-    used = sum(min(1.0, n) for n in r.expected[:-1]) if r.expected else CLASSES_USED
-    others = 1.0 if scene.targets or scene.populations else 0.0
+    unknown = float(CLASSES_USED) if scene.stars is not None else 0.0
+    used = sum(min(1.0, n) for n in r.expected[:-1]) if r.expected else unknown
+    others = 1.0 if spent.near and (scene.targets or scene.populations) else 0.0
     return min(float(CLASSES_USED), float(len(r.classes)), used + others)
 
 

@@ -19,6 +19,7 @@ from pipeline.plan.described import plan_dict
 from pipeline.plan.needs import Spent, StarForecast, check_memory
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.pointing.paths import near_frame
 from pipeline.plan.pointing.star_paths import excursions_px
 from pipeline.plan.scene_plan import make_plan
 from pipeline.plan.stars.brightest import points_beyond
@@ -77,8 +78,10 @@ def _spent(plan: Plan, r: Resolved, started: float) -> Spent:
     moved = excursions_px(plan.camera, r.geometry, plan.scene.star_effects["aberration"])
     far = float(moved.max()) if plan.scene.stars is not None else 0.0
     bright = points_beyond(plan, r.geometry)
+    frames = len(r.geometry.frame)
+    near = frames < plan.frames or near_frame(plan.scene, r.geometry, plan.halo_px).any()
     took_s = time.thread_time() - started
-    return Spent(took_s, r.geometry_s, len(r.geometry.frame), far, bright)
+    return Spent(took_s, r.geometry_s, frames, far, bright, bool(near))
 
 
 def plan_scene(scene: Scene) -> JsonObject:

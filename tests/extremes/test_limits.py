@@ -21,7 +21,7 @@ from pipeline.physics.psf.pupil import Airy, Blur
 from pipeline.plan.needs import Spent, check_memory, predict
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.response.own_paths import exact_path, exact_paths
-from pipeline.route.prepare import check_room, prepare
+from pipeline.route.prepare import check_room, prepare, summary_of
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 
@@ -117,6 +117,19 @@ def test_more_memory_than_there_is_names_what_takes_it():
         check_memory(plan, None, Spent(), 100.0)
     with pytest.raises(BadInput, match=r"^exposure\.integration_s: .*stars move by 1000000 px"):
         check_memory(plan, None, Spent(excursion_px=1e6), 1e5)
+
+
+def test_wings_of_a_target_that_no_frame_comes_near_cost_nothing():
+    """A plan reserves their grids where a target lights a frame, also from beside it."""
+    told = []
+    for ra_deg, frames in ((90.0, 1), (90.1, 1), (30.0, 1), (30.0, 1000)):
+        data = scene_data(MONO, accuracy={"flux_fraction": 1e-6})
+        data["pointing"] = {"mode": "sidereal", "boresight_ra_deg": ra_deg, "boresight_dec_deg": 0}
+        data["exposure"]["frames"] = frames
+        told.append(summary_of(prepare(parse_scene(data)))["predicted"]["worker_memory_mb"])
+    inside, beside, away, hardly_looked_at = told
+    assert inside == pytest.approx(beside) == pytest.approx(hardly_looked_at)
+    assert inside > away + 10.0
 
 
 def test_processes_share_the_memory_that_is_free(monkeypatch):
