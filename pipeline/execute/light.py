@@ -33,6 +33,8 @@ from pipeline.plan.response.own_paths import own_paths
 from pipeline.plan.response.streaks import POINTS, Streak, densest_share, light_near
 from pipeline.plan.tiles import Tile, overlap
 
+Light = tuple[Array, Array, Array]  # x (n,), y (n,) [px], electrons (n,)
+
 
 def draw_stars(
     plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], blocks: list[LightBlock]
@@ -53,12 +55,12 @@ def draw_stars(
             _draw_stamps(plan, g, piece, part, paths, mine)
             if block.crowd_e is not None:
                 piece += _cut(block.crowd_e, block.place, part)
-    far = around(every, tile, plan.halo_px + excursion_px(plan, g))
+    beyond = class_of(plan, every.light_e) == len(plan.responses.classes)
+    alone = select(every, beyond | (every.visible_fraction < 1.0))
+    far = around(alone, tile, plan.halo_px + excursion_px(plan, g))
     for star in setting_stars(plan, g, far):
         _draw_point(plan, image, tile, star)
-    far = whole_stars(far)
-    beyond = class_of(plan, far.light_e) == len(plan.responses.classes)
-    draw_along(plan, g, image, tile, select(far, beyond), paths)
+    draw_along(plan, g, image, tile, whole_stars(far), paths)
     cores_e = float(image.sum())
     for block in blocks:
         add_wings_of(image, tile, block, block.star_wings)
@@ -109,16 +111,21 @@ def _draw_stamps(
         fine = streaks(plan, g, plan.responses.streaks.finer)
     for k, core in enumerate(plan.responses.classes):
         for zone in np.unique(zones[classes == k]):
-            mine = select(stars, (classes == k) & (zones == zone))
-            bright = mine.light_e > paths[zone].own_from_e
-            _draw_pieces(plan, image, tile, k, core.phases, paths[zone], select(mine, ~bright))
-            mine = select(mine, bright)
+            mine = np.flatnonzero((classes == k) & (zones == zone))
+            bright = stars.light_e[mine] > paths[zone].own_from_e
+            some = _light(stars, mine[~bright])
+            _draw_pieces(plan, image, tile, k, core.phases, paths[zone], some)
+            mine = mine[bright]
             if core.fine_phases and len(mine):
-                bright = mine.light_e > fine[zone].own_from_e
-                some = select(mine, ~bright)
+                bright = stars.light_e[mine] > fine[zone].own_from_e
+                some = _light(stars, mine[~bright])
                 _draw_pieces(plan, image, tile, k, core.fine_phases, fine[zone], some, True)
-                mine = select(mine, bright)
-            draw_along(plan, g, image, tile, mine, paths)
+                mine = mine[bright]
+            draw_along(plan, g, image, tile, select(stars, mine), paths)
+
+
+def _light(stars: FrameStars, which: NDArray[np.intp]) -> Light:
+    return stars.x_px[which], stars.y_px[which], stars.light_e[which]
 
 
 def _draw_pieces(
@@ -128,14 +135,15 @@ def _draw_pieces(
     k: int,
     phases: int,
     streak: Streak,
-    stars: FrameStars,
+    light: Light,
     cubic: bool = False,
 ) -> None:
     """Stars of class k in a zone by the pieces of its streak."""
+    x, y, light_e = light
     for piece in streak.pieces:
-        x, y = streak.at(piece.centre, stars.x_px, stars.y_px)
-        x, y, light = stars.x_px + x, stars.y_px + y, stars.light_e * piece.share
-        _draw_piece(plan, image, tile, k, phases, piece.path, x, y, light, cubic)
+        dx, dy = streak.at(piece.centre, x, y)
+        some = x + dx, y + dy, light_e * piece.share
+        _draw_piece(plan, image, tile, k, phases, piece.path, *some, cubic)
 
 
 def draw_along(

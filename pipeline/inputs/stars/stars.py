@@ -89,7 +89,7 @@ def gather_leaf(
     unmoving: bool = False,
     left_out: np.ndarray | None = None,
 ) -> StarTable:
-    """Rows of a leaf that are bright enough, with their electron rate in the sensor's band.
+    """Rows of a leaf that are bright enough, by id, with their electron rate in the sensor's band.
 
     area_m2 : collecting area of the pupil. `unmoving` leaves space motion out, as asked;
     left_out : sorted source_ids of stars that an earlier catalogue holds.
@@ -99,6 +99,7 @@ def gather_leaf(
     rows = read_leaf(catalogue, leaf, faintest_g_mag)
     if left_out is not None and left_out.size:
         rows = rows.filter(~np.isin(rows["source_id"].to_numpy(), left_out))
+    rows = rows.sort_by("source_id")  # once: each tile and each frame's truth list stars by it
     g = _column(rows, "phot_g_mean_mag")
     if not np.isfinite(g).all():
         raise BadInput("stars.catalogue", catalogue.path, "stars with a finite G magnitude")
