@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from catalog_tools.documents import Arguments, JsonObject
 from pipeline.errors import BadInput, Missing, why_broken
 from pipeline.inputs.targets.mesh_surfaces import Palette
+from pipeline.inputs.targets.polygons import filled, plain_faces
 from pipeline.physics.meshes.facets import Facets, is_convex
 from pipeline.physics.meshes.model import Joint, MeshModel, RigidPart
 from pipeline.physics.meshes.shells import closed_shells, shell_volumes
@@ -269,9 +270,9 @@ def _parse(raw: bytes, kind: str, name: str, field: str) -> list[tuple[Array, st
         broken = why_broken(error, "trimesh")
         raise Missing("meshes", "trimesh", "mesh", field=field, broken=broken) from None
     options: Arguments = {}
-    if kind == "obj":
-        raw, options = _with_materials(raw)
     try:
+        if kind == "obj":
+            raw, options = _with_materials(plain_faces(raw))
         scene = trimesh.load_scene(io.BytesIO(raw), file_type=kind, process=False, **options)
         pieces = list(_pieces(trimesh, scene, kind))
     except MemoryError:
@@ -293,10 +294,20 @@ def _pieces(trimesh: Any, scene: Any, kind: str) -> Iterator[tuple[Array, str, s
             continue
         points = trimesh.transform_points(np.asarray(mesh.vertices, float), turn)
         faces = np.asarray(mesh.faces)
+        if kind == "ply" and (cut := filled(points, _polygons(mesh))) is not None:
+            faces = cut
         if np.linalg.det(turn[:3, :3]) < 0.0:
             faces = faces[:, ::-1]
         material = str(getattr(getattr(mesh.visual, "material", None), "name", None) or "")
         yield points[faces], material, _thing(str(key if kind == "obj" else node), material, kind)
+
+
+def _polygons(mesh: Any) -> Any:
+    """The faces of a PLY as the file has them."""
+    read = mesh.metadata["_ply_raw"]["face"]["data"]
+    names = list(read if isinstance(read, dict) else read.dtype.names)
+    lists = read[next((n for n in names if n in ("vertex_index", "vertex_indices")), names[0])]
+    return lists if isinstance(read, dict) else lists["f1"]
 
 
 def _told_facets(raw: bytes, kind: str) -> int:

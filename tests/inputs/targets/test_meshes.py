@@ -275,6 +275,83 @@ def test_a_glb_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
         read_mesh(tmp_path / "cubes.glb", "m")
 
 
+L_SHAPE = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 4), (0, 4)]
+DART = [(0, 0), (2, -1), (0.5, 0), (2, 1)]
+COMB = [
+    (0, 0),
+    (7, 0),
+    (7, 3),
+    (6, 3),
+    (6, 1),
+    (4, 1),
+    (4, 3),
+    (3, 3),
+    (3, 1),
+    (1, 1),
+    (1, 3),
+    (0, 3),
+]
+HOLED = [(0, 0), (3, 0), (3, 3), (0, 3), (0, 0), (1, 1), (1, 2), (2, 2), (2, 1), (1, 1)]
+
+
+def prism(outline, first, ending):
+    """A prism 2 high over an outline, whose ends are one face each that begins at any corner."""
+    n = len(outline)
+    points = [(x, y, z) for z in (0, 2) for x, y in outline]
+    turned = [*range(first, n), *range(first)]
+    faces = [turned[::-1], [n + k for k in turned]]
+    faces += [[k, (k + 1) % n, (k + 1) % n + n, k + n] for k in range(n)]
+    if ending == "obj":
+        lines = ["v {} {} {}".format(*p) for p in points]
+        return "\n".join(lines + ["f " + " ".join(f"{k + 1}" for k in f) for f in faces]) + "\n"
+    head = (
+        f"ply\nformat ascii 1.0\nelement vertex {2 * n}\nproperty double x\nproperty double y\n"
+        f"property double z\nelement face {n + 2}\nproperty list uchar int vertex_index\nend_header"
+    )
+    lines = [head, *("{} {} {}".format(*p) for p in points)]
+    return "\n".join(lines + [" ".join(map(str, (len(f), *f))) for f in faces]) + "\n"
+
+
+@pytest.mark.parametrize("ending", ["obj", "ply"])
+@pytest.mark.parametrize("outline", [L_SHAPE, DART, COMB, HOLED])
+def test_polygons_that_are_not_convex_are_filled(tmp_path, outline, ending):
+    """Whatever corner they begin at: ends and sides have the area that they enclose."""
+    x, y = np.array(outline, float).T
+    end = 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+    around = float(np.sum(np.hypot(np.roll(x, -1) - x, np.roll(y, -1) - y)))
+    for first in range(len(outline)):
+        file = read_mesh(write(tmp_path, prism(outline, first, ending), f"{first}.{ending}"), "m")
+        a, b, c = np.moveaxis(file.corners_m, 1, 0)
+        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum()
+        assert area == pytest.approx(2.0 * end + 2.0 * around, rel=1e-12)
+
+
+@pytest.mark.parametrize("last", [3, 4])
+def test_a_polygon_that_crosses_itself_is_refused(tmp_path, last):
+    with pytest.raises(BadInput, match="a face that crosses itself"):
+        read_mesh(write(tmp_path, prism([(0, 0), (2, 0), (0, 1), (2, last)], 0, "obj")), "m")
+
+
+def test_corners_may_be_counted_backwards(tmp_path):
+    """From the last point before the face, as the format has it, not from the file's last one."""
+    points = [line for line in CUBE.splitlines() if line.startswith("v ")]
+    faces = [line.split()[1:] for line in CUBE.splitlines() if line.startswith("f ")]
+    back = ["f " + " ".join(f"{int(k) - 9}//-1" for k in f) for f in faces]
+    moved = ["v {} {} {}".format(float(p[1]) + 5, *p[2:]) for p in (v.split() for v in points)]
+    text = "\n".join(["vn 0 0 1", "o one", *points, *back, "o two", *moved, *back]) + "\n"
+    file = read_mesh(write(tmp_path, text), "m")
+    ends = [np.ptp(file.corners_m[file.thing == k].reshape(-1, 3), axis=0) for k in (0, 1)]
+    assert (len(file.corners_m), file.notices) == (24, ())
+    assert np.array_equal(ends, np.ones((2, 3)))
+    assert file.corners_m[..., 0].max() == 6.0
+
+
+@pytest.mark.parametrize("corner", ["0", "-9"])
+def test_a_corner_that_no_point_has_is_refused(tmp_path, corner):
+    with pytest.raises(BadInput, match=f"corner {corner}: they count from 1, or back from -1"):
+        read_mesh(write(tmp_path, CUBE.replace("f 4 3 2 1", f"f {corner} 3 2 1")), "m")
+
+
 def test_shells_that_are_inside_out_are_turned(tmp_path):
     flipped = "\n".join(
         "f " + " ".join(reversed(line.split()[1:])) if line.startswith("f ") else line
