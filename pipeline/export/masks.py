@@ -16,12 +16,13 @@ from pipeline.export.response import SourceLight, path_between
 from pipeline.lazily import fits
 from pipeline.store.cube import read_layer
 
+FULL_DISC = 1.0  # px of radius from which a body's disc is drawn
 RULE = (
     "a pixel belongs to a source whose expected light in it is at least THRESH electrons, or, of a "
-    "source fainter than that everywhere, at least half of its own brightest pixel"
+    "source fainter than that everywhere, at least half of its own brightest pixel; the light of a "
+    f"body of more than {FULL_DISC:g} px of radius counts as spread over its whole disc"
 )
 LAYERS = {TARGET: "targets_e", STAR: "stars_e"}
-FULL_DISC = 1.0  # px of radius from which a body's disc is drawn
 
 
 @dataclass(frozen=True)

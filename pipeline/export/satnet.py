@@ -21,8 +21,9 @@ def annotation(
 
     Places are shares of the frame's sides counted from its outer edge, (pixel + 0.5) / side; y
     follows the rows of the FITS array from the first one. Boxes hold the path from start to end;
-    `bbox_height` and `bbox_width` have `pad_px` more on each side. `x_mid`, `y_mid` is the place at
-    mid-exposure; `x_light`, `y_light` (our addition) the centroid of the light.
+    `bbox_height` and `bbox_width` have `pad_px` and the body's radius more on each side. `x_mid`,
+    `y_mid` is the place at mid-exposure; `x_light`, `y_light` (our addition) the centroid of the
+    light.
     """
     rows, columns = shape
     return {
@@ -47,12 +48,13 @@ def _object(
         for name, column in (("start", "_start"), ("mid", ""), ("end", "_end"), ("light", "_light"))
         for axis, side in (("y", rows), ("x", columns))
     }
+    around_px = pad_px + float(labels.radius_px[i])
     box: dict[str, float] = {}
     for axis, side, size in (("y", rows, "height"), ("x", columns, "width")):
         ends = [at[f"{axis}_{w}"] for w in ("start", "mid", "end")]
         box |= {f"{axis}_min": min(ends), f"{axis}_max": max(ends)}
         box[f"{axis}_center"] = 0.5 * (min(ends) + max(ends))
-        box[f"bbox_{size}"] = max(ends) - min(ends) + 2.0 * pad_px / side
+        box[f"bbox_{size}"] = max(ends) - min(ends) + 2.0 * around_px / side
     kind = int(labels.kind[i])
     mag = float(labels.magnitude[i])
     name = str(labels.name[i])

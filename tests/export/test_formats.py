@@ -273,7 +273,7 @@ def three_labels():
     none = np.nan
     values |= {
         "kind": np.array([1, 2, 2]), "name": np.array(["sat", "7", "8"]),
-        "object_name": np.array(["ISS", "seven", "eight"]), "radius_px": np.zeros(3),
+        "object_name": np.array(["ISS", "seven", "eight"]), "radius_px": np.array([2.5, 0.0, 0.0]),
         "g_mag": np.array([none, 9.5, 10.5]), "v_mag": np.array([4.5, none, none]),
         "mag_ab": np.array([4.25, none, none]),
     }  # fmt: skip
@@ -286,7 +286,7 @@ TIMES = ExposureTimes(
 
 
 def test_satnet_tells_each_number_of_its_own():
-    """Shares of rows and columns by hand: (pixel + 0.5) / side; a margin of 2 px on every side."""
+    """Shares of rows and columns by hand: (pixel + 0.5) / side; 2 px and a radius on every side."""
     labels = three_labels()
     told = satnet.annotation(labels, TIMES, (100, 300), 0.01, {}, 2.0)["data"]
     assert told["sensor"] == {"height": 100, "width": 300, "iFOVy": 0.01, "iFOVx": 0.01}
@@ -295,8 +295,8 @@ def test_satnet_tells_each_number_of_its_own():
     places = {
         "x_start": 10.5 / 300, "x_mid": 70.5 / 300, "x_end": 60.5 / 300, "x_light": 31.5 / 300,
         "y_start": 0.405, "y_mid": 0.205, "y_end": 0.055, "y_light": 0.225,
-        "x_min": 10.5 / 300, "x_max": 70.5 / 300, "x_center": 40.5 / 300, "bbox_width": 64 / 300,
-        "y_min": 0.055, "y_max": 0.405, "y_center": 0.23, "bbox_height": 0.39,
+        "x_min": 10.5 / 300, "x_max": 70.5 / 300, "x_center": 40.5 / 300, "bbox_width": 69 / 300,
+        "y_min": 0.055, "y_max": 0.405, "y_center": 0.23, "bbox_height": 0.44,
     }  # fmt: skip
     assert {k: first[k] for k in places} == pytest.approx(places, abs=1e-12)
     kinds = ("class_name", "class_id", "object_name", "object_id", "magnitude", "seg_id")
