@@ -132,6 +132,8 @@ def mask_fits(
 ) -> bytes:
     """A FITS file: CLASS (also the primary's header), SOURCE numbers, and the table of SOURCES."""
     fits_io = fits()
+    object_name = np.char.encode(labels.object_name, "ascii", "backslashreplace")
+    wide = f"{max(80, object_name.itemsize)}A"
     table = fits_io.BinTableHDU.from_columns(
         [
             fits_io.Column("number", "J", array=np.arange(1, len(labels) + 1)),
@@ -139,7 +141,7 @@ def mask_fits(
             fits_io.Column("name", "64A", array=labels.name),
             fits_io.Column("x", "D", unit="pixel", array=labels.x_px),
             fits_io.Column("y", "D", unit="pixel", array=labels.y_px),
-            fits_io.Column("object_name", "80A", array=labels.object_name),
+            fits_io.Column("object_name", wide, array=object_name),
             fits_io.Column("magnitude", "D", array=labels.magnitude),
             fits_io.Column("electrons", "D", array=labels.electrons),
             fits_io.Column("snr", "D", array=labels.snr),

@@ -6,7 +6,7 @@ import io
 import json
 import sys
 import warnings
-from dataclasses import fields
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import erfa
@@ -348,6 +348,15 @@ def test_the_table_of_masks_holds_the_labels():
                "electrons": labels.electrons, "snr": labels.snr}  # fmt: skip
     for name, wanted in columns.items():
         assert list(table[name]) == list(wanted), name
+
+
+def test_a_name_beyond_ascii_is_escaped_in_the_table_of_masks():
+    """FITS has no other letters; two names of 80 letters that differ in the last one differ."""
+    labels = replace(three_labels(), object_name=np.array(["Ü", "天" * 79 + "a", "天" * 79 + "b"]))
+    empty = np.zeros((2, 2), np.int32)
+    made = mask_fits(labels, empty, empty.astype(np.uint8), [])
+    table = fits.open(io.BytesIO(made))["SOURCES"]
+    assert table.data["object_name"].tolist() == ["\\xdc", *("\\u5929" * 79 + c for c in "ab")]
 
 
 def test_masks_of_faint_sources_discs_and_overlaps(tmp_path):
