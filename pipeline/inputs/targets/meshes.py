@@ -107,8 +107,18 @@ def gather_mesh(body: MeshBody, field: str = "body") -> MeshModel:
         on = None if part.on is None else numbers[part.on]
         numbers[part.name] = len(parts)
         parts.append(_placed(part, facets, on))
+        _check_materials(part, [files[key]], place)
+    _check_materials(body, files.values(), field)
     notices = tuple(chain.from_iterable(file.notices for file in files.values()))
     return MeshModel(tuple(parts), palette.surfaces, _digest(body, files, palette), notices)
+
+
+def _check_materials(owner: Meshed, files: Collection[MeshFile], field: str) -> None:
+    """BadInput for a material of a body, or of a part, that is in none of its files."""
+    known = sorted(set().union(*(file.materials for file in files)))
+    for name in owner.materials:
+        if name not in known:
+            raise BadInput(f"{field}.materials", name, f"a material of the file: {_names(known)}")
 
 
 def _digest(body: MeshBody, files: Mapping[tuple[str, Unit], MeshFile], palette: Palette) -> str:
@@ -181,12 +191,6 @@ def _facets(
             _names(missing),
             "a surface for each of these materials of the file, or `surface` for all others",
         )
-    for owner in owners:
-        for name in owner.materials:
-            if name not in file.materials and len(owners) == 1:
-                raise BadInput(
-                    f"{field}.materials", name, f"a material of the file: {_names(file.materials)}"
-                )
     corners = file.corners_m[some]
     closed = file.closed[some]
     convex = bool(closed.all() and is_convex(corners))

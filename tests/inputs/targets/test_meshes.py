@@ -182,6 +182,21 @@ def test_surfaces_go_by_the_materials_names(tmp_path):
     assert other.digest != model.digest
 
 
+def test_a_material_that_no_file_of_its_owner_has_is_refused(tmp_path):
+    """Of a part, of a body all of whose objects are parts; a body's may be in a part's file."""
+    path, wing = write(tmp_path, CUBE + SHEET), write(tmp_path, SHEET.replace("cell", "foil")
+        .replace("f 9 10 11 12", "f 1 2 3 4"), "wing.obj")  # fmt: skip
+    panel, all_of_it = ({"name": "p", "objects": o} for o in (["Panel"], ["Bus", "Panel"]))
+    for part, own, field in (
+        (panel | {"materials": {"cels": MATT}}, {}, "body.parts.0.materials"),
+        (all_of_it, {"cels": MATT}, "body.materials"),
+    ):
+        with pytest.raises(BadInput, match="black, cell, gold") as caught:
+            gather_mesh(body(path, parts=[part], materials=own))
+        assert (caught.value.field, caught.value.value) == (field, "cels")
+    gather_mesh(body(path, parts=[{"name": "p", "path": str(wing)}], materials={"foil": MATT}))
+
+
 @pytest.mark.parametrize("count", [7, 8, 9, 11])
 def test_a_refusal_lists_eight_names_and_how_many_more_there_are(tmp_path, count):
     head = CUBE[: CUBE.index("usemtl")]
