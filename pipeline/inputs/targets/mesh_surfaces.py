@@ -34,9 +34,13 @@ SHARP_EXPONENT, SHARP_ROUGHNESS, SUN_RINGS = 400.0, 0.05, 3
 
 
 class Palette:
-    """The surfaces of one body, each once; grows while its parts are put together."""
+    """The surfaces of one body, each once; grows while its parts are put together.
+
+    notices : what their tables have to say
+    """
 
     def __init__(self) -> None:
+        self.notices: list[str] = []
         self._made: dict[str, int] = {}
         self._surfaces: list[FacetSurface] = []
         self._digest = hashlib.sha256()
@@ -63,8 +67,21 @@ class Palette:
             surface, content = make_surface(request, where)
             self._made[key] = len(self._surfaces)
             self._surfaces.append(surface)
+            if isinstance(request, TableSurface) and isinstance(surface.brdf, BrdfTable):
+                self.notices += _ends(surface.brdf, Path(request.path).name)
             self._digest.update(_told(request).encode() + content)
         return self._made[key]
+
+
+def _ends(table: BrdfTable, name: str) -> list[str]:
+    """What is said of a table that does not reach all directions."""
+    axes = {"theta_i": table.theta_i_rad, "theta_o": table.theta_o_rad, "phi": table.phi_rad}
+    ends = {key: float(np.rad2deg(axis[-1])) for key, axis in axes.items()}
+    short = [
+        f"{k} {end:.4g}" for k, end in ends.items() if end < (180 if k == "phi" else 90) - 1e-6
+    ]
+    told = f"{name}: its BRDF ends at {', '.join(short)} deg: beyond, the value there holds"
+    return [told] if short else []
 
 
 def _told(request: Reflecting) -> str:

@@ -109,8 +109,8 @@ def gather_mesh(body: MeshBody, field: str = "body") -> MeshModel:
         parts.append(_placed(part, facets, on))
         _check_materials(part, [files[key]], place)
     _check_materials(body, files.values(), field)
-    notices = tuple(chain.from_iterable(file.notices for file in files.values()))
-    return MeshModel(tuple(parts), palette.surfaces, _digest(body, files, palette), notices)
+    notices = chain(*(file.notices for file in files.values()), palette.notices)
+    return MeshModel(tuple(parts), palette.surfaces, _digest(body, files, palette), tuple(notices))
 
 
 def _check_materials(owner: Meshed, files: Collection[MeshFile], field: str) -> None:

@@ -454,6 +454,25 @@ def test_measured_tables_from_csv_and_npy(tmp_path):
     assert model_light(model, d, d, [0.0])[0][0] == pytest.approx(0.1)
 
 
+def test_a_table_that_ends_early_is_told(tmp_path):
+    """As one whose angles are radians does; of one that reaches all directions nothing is said."""
+    whole = _rows()
+    for axis, top in ((0, 90.0), (1, 90.0), (2, 180.0)):
+        whole[:, axis] *= top / whole[:, axis].max()
+    for name, rows, told in (
+        ("whole.npy", whole, ()),
+        (
+            "turns.npy",
+            whole * [*np.radians([1.0, 1.0, 1.0]), 1.0],
+            ("turns.npy: its BRDF ends at theta_i 1.571, theta_o 1.571, phi 3.142 deg: beyond, the "
+             "value there holds",),
+        ),
+    ):  # fmt: skip
+        np.save(tmp_path / name, rows)
+        surface = {"kind": "table", "path": str(tmp_path / name)}
+        assert gather_mesh(body(write(tmp_path, CUBE), surface=surface)).notices == told
+
+
 @pytest.mark.parametrize(
     ("name", "content", "word"),
     [
