@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -23,8 +24,8 @@ Array = NDArray[np.float64]
 
 LOOKS = 4.0  # at least, from a row of a table to the next
 LOOKS_A_TURN = 32.0  # in a period or a turn: a box shows four faces in one
-MOST_LOOKS = 1024  # in an exposure: of geometry, and of meshes
-MOST_LIGHT_NODES = 257  # light that asks for more is the mean around each node
+MOST_LOOKS = 1024  # in an exposure: of geometry
+MOST_LIGHT_NODES = 257  # light that asks for more is the mean around each node, but a mesh's
 FINER = 4.0  # times as often as asked is light looked at for its means, and
 MOST_FINE = 2**17  # so often at most
 CLOSE = 0.125  # of `flux_fraction`: how closely the mean of an exposure is known
@@ -43,6 +44,7 @@ def looks_asked(
     first_s, last_s : (F,) when its light leaves it, after the scene's epoch
     """
     own = np.full(len(span_s), min(_turns_s(body), default=np.inf) * LOOKS / LOOKS_A_TURN)
+    own = np.minimum(own, LOOKS * min(_flashes_s(body), default=np.inf))
     for times_s, period_s in _tables(body, epoch):
         own = np.minimum(own, apart_s(times_s, period_s, first_s, last_s))
     return np.asarray(LOOKS * span_s / own)
@@ -50,7 +52,7 @@ def looks_asked(
 
 def most_looks(body: Body | MeshBody) -> float:
     """How many of these looks there are at most."""
-    return MOST_LOOKS if isinstance(body, MeshBody) else MOST_FINE / FINER
+    return MOST_LIGHT_NODES - 1 if isinstance(body, MeshBody) else MOST_FINE / FINER
 
 
 def has_means(body: Body | MeshBody, asked: Array) -> NDArray[np.bool_]:
@@ -113,6 +115,13 @@ def _turns_s(body: Body | MeshBody) -> Iterator[float]:
     for law in laws:
         if isinstance(law, SpinAttitude | SpinJoint) and law.rate_deg_s:
             yield 360.0 / abs(law.rate_deg_s)
+
+
+def _flashes_s(body: Body | MeshBody) -> Iterator[float]:
+    """How long the narrowest highlight of what spins takes to brighten [s]."""
+    if isinstance(body, MeshBody):
+        turns = body.highlight_rad / (2.0 * math.pi)
+        yield from (turns * turn_s for turn_s in _turns_s(body))
 
 
 def _laws(body: Body | MeshBody) -> Iterator[Attitude | None]:

@@ -88,7 +88,7 @@ def hurried_remarks(scene: Scene, g: Geometry, near: NDArray[np.bool_]) -> list[
         return []
     exposed_s = float(frame_times(scene, g.frame)[1][worst])
     return [
-        f"exposure.integration_s: rows of a table, or turns, come every "
+        f"exposure.integration_s: rows of a table, turns or highlights come every "
         f"{exposed_s * LOOKS / asked[row, worst]:.2g} s in an exposure of {exposed_s:g} s (frame "
         f"{g.frame[worst]}), which is looked at every {exposed_s / float(most[row, 0]):.2g} s: a "
         "flash or a jolt shorter than that may be missed, and the mean of faster turns be off"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from itertools import chain
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, field_validator, model_validator
@@ -25,6 +27,12 @@ class MeshSurface(Strict):
 
     two_sided: bool = False
 
+    @property
+    def highlight_rad(self) -> float:
+        """How far a body turns while a highlight of it brightens by e^(1/2); inf where all is matt,
+        or a table's."""
+        return math.inf
+
 
 class LambertSurface(MeshSurface):
     """Matt: equally bright from everywhere."""
@@ -40,6 +48,10 @@ class PhongSurface(MeshSurface):
     diffuse: Fraction
     specular: Fraction
     exponent: Exponent
+
+    @property
+    def highlight_rad(self) -> float:
+        return 0.5 / math.sqrt(max(self.exponent, 1.0)) if self.specular else math.inf
 
     @model_validator(mode="after")
     def _not_more_than_all(self) -> PhongSurface:
@@ -66,6 +78,10 @@ class CookTorranceSurface(MeshSurface):
     ) = None
     normal_reflectance: Fraction | None = None
 
+    @property
+    def highlight_rad(self) -> float:
+        return 0.5 * self.roughness
+
     @model_validator(mode="after")
     def _one_of_two(self) -> CookTorranceSurface:
         if (self.refractive_index is None) == (self.normal_reflectance is None):
@@ -90,6 +106,11 @@ class AshikhminShirleySurface(MeshSurface):
         None, description="exponent across the grain; default: as exponent_u (not brushed)"
     )
     grain: Axis = (1.0, 0.0, 0.0)
+
+    @property
+    def highlight_rad(self) -> float:
+        sharpest = max(self.exponent_u, self.exponent_v or 0.0, 1.0)
+        return 1.0 / math.sqrt(sharpest) if self.specular else math.inf
 
     @field_validator("grain")
     @classmethod
@@ -224,6 +245,13 @@ class MeshBody(Meshed):
     error: Annotated[float, Field(ge=1e-8, le=0.1)] | None = None
     digest: Annotated[str, Field(max_length=64)] | None = None
     _model: Any = PrivateAttr(None)
+
+    @property
+    def highlight_rad(self) -> float:
+        """The narrowest highlight of its surfaces; see `MeshSurface`."""
+        owners: tuple[Meshed, ...] = (self, *self.parts)
+        surfaces = chain(*((owner.surface, *owner.materials.values()) for owner in owners))
+        return min((s.highlight_rad for s in surfaces if s is not None), default=math.inf)
 
     @property
     def model(self) -> Any:

@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from pipeline.inputs.targets.mesh_surfaces import make_surface
+from pipeline.plan.bodies.changes import looks_asked, most_looks
 from pipeline.plan.bodies.changes import mean_light as mean_light_around
 from pipeline.plan.pointing.geometry import _geometry, plan_geometry
 from pipeline.plan.pointing.timescales import hurried_remarks, light_off, looks
 from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Scene
+from pipeline.spec.targets.mesh import MeshBody
 
 PX_ARCSEC = np.degrees(9e-6 / 0.4) * 3600.0
 SCENE: dict[str, Any] = {
@@ -207,6 +210,31 @@ def test_what_is_too_fast_to_be_looked_at_is_told() -> None:
     assert plan["remarks"].count(said[0]) == 1
     rules = {d["component"]: d for d in plan["decisions"]}
     assert rules["targets.light_between_nodes"]["bound"] == 1.0
+
+
+PHONG = {"kind": "phong", "diffuse": 0.0, "specular": 0.5, "exponent": 400.0}
+CELLS = {"kind": "ashikhmin_shirley", "specular": 0.3, "exponent_u": 25.0, "exponent_v": 100.0}
+FOIL = {"kind": "cook_torrance", "roughness": 0.02, "normal_reflectance": 0.9}
+MATT = {"kind": "lambert", "albedo": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("surface", "wide_rad"),
+    [(MATT, np.inf), (PHONG, 0.025), (PHONG | {"specular": 0}, np.inf), (CELLS, 0.1), (FOIL, 0.01)],
+)
+def test_highlights_of_a_mesh_that_spins_are_looked_at(surface: dict, wide_rad: float) -> None:
+    """Once at least while one brightens by e^(1/2), seen from the Sun; more than can be: told."""
+    law = {"kind": "spin", "axis": [1.0, 0.0, 0.0], "rate_deg_s": 360.0}
+    mesh = {"kind": "mesh", "path": "a.obj", "unit": "m", "surface": MATT, "attitude": law}
+    body = MeshBody.model_validate(mesh | {"materials": {"foil": surface}})
+    asked = looks_asked(body, (2458000.5, 0.0), np.zeros(1), np.ones(1), np.ones(1))
+    assert asked == pytest.approx(max(32.0, 2.0 * np.pi / wide_rad))
+    assert (asked[0] > most_looks(body)) == (surface is FOIL)
+    if np.isfinite(wide_rad):
+        brdf = make_surface(body.materials["foil"])[0].brdf
+        normal = np.array([[0.0, 0, 1], [0, np.sin(wide_rad), np.cos(wide_rad)]])
+        turned = brdf(normal, normal[0], normal[0])
+        assert turned[0] / turned[1] == pytest.approx(np.exp(0.5), rel=0.06)
 
 
 def test_flashes_between_the_most_nodes_there_are() -> None:
