@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -31,6 +32,7 @@ LARGEST_TABLE_BYTES = 100_000_000
 # Sharper highlights than these are drawn with the Sun as a disc of 0.53 degrees: below, it changes
 # their peak by less than 1%
 SHARP_EXPONENT, SHARP_ROUGHNESS, SUN_RINGS = 400.0, 0.05, 3
+RINGS_A_HIGHLIGHT = 2.0 * 4.652e-3  # two rings within each highlight's width, across the disc [rad]
 
 
 class Palette:
@@ -97,7 +99,8 @@ def make_surface(request: Reflecting, field: str = "surface") -> tuple[FacetSurf
         table, raw = read_brdf_table(Path(request.path), request.scale, field)
         return FacetSurface(table, request.two_sided), raw
     given, sharp = FORMULAS[type(request)](request)
-    return FacetSurface(given, request.two_sided, SUN_RINGS if sharp else 0), b""
+    rings = max(SUN_RINGS, math.ceil(RINGS_A_HIGHLIGHT / request.highlight_rad)) if sharp else 0
+    return FacetSurface(given, request.two_sided, rings), b""
 
 
 def _lambert(request: LambertSurface) -> tuple[Brdf, bool]:

@@ -25,9 +25,9 @@ Array = NDArray[np.float64]
 LOOKS = 4.0  # at least, from a row of a table to the next
 LOOKS_A_TURN = 32.0  # in a period or a turn: a box shows four faces in one
 MOST_LOOKS = 1024  # in an exposure: of geometry
-MOST_LIGHT_NODES = 257  # light that asks for more is the mean around each node, but a mesh's
-FINER = 4.0  # times as often as asked is light looked at for its means, and
-MOST_FINE = 2**17  # so often at most
+MOST_LIGHT_NODES = 257  # light that asks for more is the mean around each node
+FINER, MOST_FINE = 4.0, 2**17  # so many times as often as asked, and so often at most, for its mean
+MESH_FINER, MESH_MOST_FINE = 1.0, 2**12  # a mesh's light is dear
 CLOSE = 0.125  # of `flux_fraction`: how closely the mean of an exposure is known
 
 
@@ -52,27 +52,40 @@ def looks_asked(
 
 def most_looks(body: Body | MeshBody) -> float:
     """How many of these looks there are at most."""
-    return MOST_LIGHT_NODES - 1 if isinstance(body, MeshBody) else MOST_FINE / FINER
+    return MOST_LOOKS if isinstance(body, MeshBody) else MOST_FINE / FINER
 
 
 def has_means(body: Body | MeshBody, asked: Array) -> NDArray[np.bool_]:
-    """Exposures (F,) in which a body's light at the nodes is its mean around each of them."""
-    return (asked > MOST_LIGHT_NODES - 1) & (not isinstance(body, MeshBody))
+    """Exposures (F,) in which a body's light at the nodes is its mean around each of them: not
+    that of a mesh which is too fast, as each look is dear."""
+    most = MOST_LOOKS if isinstance(body, MeshBody) else math.inf
+    return (asked > MOST_LIGHT_NODES - 1) & (asked <= most)
 
 
-def mean_light(light: Callable[[Array], Array], nodes: int, asked: float, share: float) -> Array:
+def looks_for_means(body: Body | MeshBody, asked: float) -> tuple[float, int]:
+    """How many times an exposure is looked at for the means of a body's light, at least and at
+    most."""
+    finer, most = (FINER, MOST_FINE)
+    if isinstance(body, MeshBody):
+        finer, most = (MESH_FINER, MESH_MOST_FINE)
+    return min(finer * asked, most), most
+
+
+def mean_light(
+    light: Callable[[Array], Array], nodes: int, least: float, most: int, share: float
+) -> Array:
     """Means of light around the nodes of an exposure, whose sum by the trapezium rule is the light
     of the whole: (nodes,).
 
     light : of places (n,) in the exposure, 0 to 1; a node's mean is weighted by a hat that falls
-    to zero at the next nodes. Looked at FINER times as often as asked, and oftener until the whole
-    changes by `share` of itself at most; some MOST_FINE times at most.
+    to zero at the next nodes. Looked at some `least` times, and oftener until the whole changes by
+    `share` of itself at most; some `most` times at most.
     """
-    each = 2 * int(np.ceil(0.5 * min(FINER * asked, MOST_FINE) / (nodes - 1)))
+    each = 2 * int(np.ceil(0.5 * least / (nodes - 1)))
     while True:
         fine = light(np.linspace(0.0, 1.0, each * (nodes - 1) + 1))
         whole, half = (float(np.trapezoid(v)) / (len(v) - 1) for v in (fine, fine[::2]))
-        if abs(whole - half) <= share * whole or 2 * each * (nodes - 1) > MOST_FINE:
+        if abs(whole - half) <= share * whole or 2 * each * (nodes - 1) > most:
             break
         each *= 2
     between, part = fine[:-1].reshape(nodes - 1, each), np.arange(each) / each

@@ -21,6 +21,7 @@ from pipeline.plan.bodies.changes import (
     has_means,
     is_changing,
     looks_asked,
+    looks_for_means,
     mean_light,
 )
 from pipeline.plan.bodies.sights import Moments, sights
@@ -141,8 +142,9 @@ def _average(
             known = (one, at.earth.sun_from_earth_m[some], seen.range_m[k : k + 1, some])
             tt = at.times.tt1[some], at.times.tt2[some]
             between = partial(_light_between, target, field, at.epoch, *known, tt)
+            often = looks_for_means(target.body, float(asked[f]))
             share = CLOSE * scene.accuracy.flux_fraction
-            light[k, some] = mean_light(between, nodes, float(asked[f]), share)
+            light[k, some] = mean_light(between, nodes, *often, share)
 
 
 def _light_between(

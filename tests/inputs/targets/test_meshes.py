@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 
 from pipeline.errors import BadInput
 from pipeline.inputs.targets.mesh_surfaces import make_surface, read_brdf_table
-from pipeline.physics.meshes.intensity import mesh_intensity
+from pipeline.physics.meshes.intensity import mesh_intensity, sun_points
 from pipeline.physics.meshes.model import model_light, posed
 from pipeline.physics.targets.sphere import sphere_area_function
 from pipeline.physics.vectors import separation, unit
@@ -509,3 +509,14 @@ def test_sharp_highlights_see_the_sun_as_a_disc(wish, sharp):
         made, raw = make_surface(TypeAdapter(Reflecting).validate_python(
             wish | {"two_sided": two_sided}))  # fmt: skip
         assert (made.sun_rings > 0, made.two_sided, raw) == (sharp, two_sided, b"")
+
+
+@pytest.mark.parametrize("exponent", [401.0, 1e5, 1e6])
+def test_the_suns_disc_in_the_sharpest_highlights(exponent):
+    """Against the integral over a disc of even brightness; where three rings were off by 16%."""
+    wish = {"kind": "phong", "diffuse": 0.0, "specular": 0.5, "exponent": exponent}
+    made, _ = make_surface(TypeAdapter(Reflecting).validate_python(wish))
+    radius, z = 4.652e-3, np.array([0.0, 0.0, 1.0])
+    lit = [float(made.brdf(z[None], p, z)[0]) for p in sun_points(z, radius, made.sun_rings)]
+    x = 0.5 * exponent * radius**2
+    assert np.mean(lit) / made.brdf(z[None], z, z)[0] == pytest.approx(-np.expm1(-x) / x, rel=6e-3)

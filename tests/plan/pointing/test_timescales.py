@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 from scipy.integrate import quad
 
 from pipeline.inputs.targets.mesh_surfaces import make_surface
-from pipeline.plan.bodies.changes import looks_asked, most_looks
+from pipeline.inputs.targets.meshes import gather_meshes
+from pipeline.plan.bodies.changes import has_means, looks_asked, most_looks
 from pipeline.plan.bodies.changes import mean_light as mean_light_around
 from pipeline.plan.pointing.geometry import _geometry, plan_geometry
 from pipeline.plan.pointing.timescales import hurried_remarks, light_off, looks
@@ -223,18 +225,41 @@ MATT = {"kind": "lambert", "albedo": 0.5}
     [(MATT, np.inf), (PHONG, 0.025), (PHONG | {"specular": 0}, np.inf), (CELLS, 0.1), (FOIL, 0.01)],
 )
 def test_highlights_of_a_mesh_that_spins_are_looked_at(surface: dict, wide_rad: float) -> None:
-    """Once at least while one brightens by e^(1/2), seen from the Sun; more than can be: told."""
+    """Once at least while one brightens by e^(1/2), seen from the Sun; many: by means."""
     law = {"kind": "spin", "axis": [1.0, 0.0, 0.0], "rate_deg_s": 360.0}
     mesh = {"kind": "mesh", "path": "a.obj", "unit": "m", "surface": MATT, "attitude": law}
     body = MeshBody.model_validate(mesh | {"materials": {"foil": surface}})
     asked = looks_asked(body, (2458000.5, 0.0), np.zeros(1), np.ones(1), np.ones(1))
     assert asked == pytest.approx(max(32.0, 2.0 * np.pi / wide_rad))
-    assert (asked[0] > most_looks(body)) == (surface is FOIL)
+    assert has_means(body, asked)[0] == (surface is FOIL)
+    assert (10.0 * asked[0] > most_looks(body)) == (surface in (PHONG, FOIL))
+    assert not has_means(body, 10.0 * asked[asked > 257]).any()  # too dear: told
     if np.isfinite(wide_rad):
         brdf = make_surface(body.materials["foil"])[0].brdf
         normal = np.array([[0.0, 0, 1], [0, np.sin(wide_rad), np.cos(wide_rad)]])
         turned = brdf(normal, normal[0], normal[0])
         assert turned[0] / turned[1] == pytest.approx(np.exp(0.5), rel=0.06)
+
+
+def test_glints_of_a_mesh_that_turns_once_in_an_exposure(tmp_path: Path) -> None:
+    """They take 3 ms of it, and give as much light whenever the turn begins."""
+    lines = []
+    for north in np.arange(-1.2, 1.2, 0.02):  # facets of a ball along one meridian
+        out = np.array([np.cos(north), 0.0, np.sin(north)])
+        up = np.array([-np.sin(north), 0.0, np.cos(north)])
+        for corner in (-0.005 * up, np.array([0.0, 0.01, 0.0]), 0.005 * up):
+            lines.append("v {:.9f} {:.9f} {:.9f}".format(*(out + corner)))
+        lines.append("f -3 -2 -1")
+    (tmp_path / "a.obj").write_text("\n".join(lines))
+    mesh = {"kind": "mesh", "path": str(tmp_path / "a.obj"), "unit": "m", "surface": FOIL}
+    found = []
+    for phase in (0.0, 100.3, 200.9, 301.7):
+        law = {"kind": "spin", "axis": [0.0, 0.0, 1.0], "rate_deg_s": 360.0, "phase_deg": phase}
+        made = gather_meshes(scene(mesh | {"attitude": law}))
+        found.append(mean_light(made))
+        g = plan_geometry(made, np.array([0]), 0.0)
+        assert light_off(made, g, np.ones((1, 1), bool)) < 1e-3
+    assert np.ptp(found) < 1e-3 * found[0]
 
 
 def test_flashes_between_the_most_nodes_there_are() -> None:
@@ -266,16 +291,16 @@ def test_a_plate_that_turns_as_often_as_there_are_nodes(turns: float) -> None:
 
 
 def test_means_around_nodes_hold_the_whole_light() -> None:
-    for nodes, asked in ((9, 300.0), (257, 256.1), (130, 1000.0)):
+    for nodes, least in ((9, 1200.0), (257, 1024.1), (130, 4000.0)):
         rng = np.random.default_rng(nodes)
-        phase, turns = rng.uniform(0, 6.28, 5), rng.uniform(1, asked / 40, 5)
+        phase, turns = rng.uniform(0, 6.28, 5), rng.uniform(1, least / 160, 5)
 
         def bright(u: np.ndarray, phase: Any = phase, turns: Any = turns) -> np.ndarray:
             return np.square(np.sin(6.28 * turns * u[:, None] + phase)).sum(axis=-1)
 
-        means = mean_light_around(bright, nodes, asked, 1e-5)
+        means = mean_light_around(bright, nodes, least, 2**17, 1e-5)
         true, _ = quad(lambda u, f=bright: f(np.array([u]))[0], 0.0, 1.0, limit=5000)
         assert np.trapezoid(means) / (nodes - 1) == pytest.approx(true, rel=1e-4)
-        steady = mean_light_around(lambda u: 2.0 + u, nodes, asked, 1e-5)
+        steady = mean_light_around(lambda u: 2.0 + u, nodes, least, 2**17, 1e-5)
         between = np.linspace(2.0, 3.0, nodes)[1:-1]
         np.testing.assert_allclose(steady[1:-1], between, rtol=1e-9)
