@@ -85,6 +85,8 @@ def test_the_answer_has_fifteen_lines_that_fit(
         assert any(line.startswith(decision["component"]) for line in whole)
     explained = lines_of(capsys, told, explain=True)
     assert len(explained) > len(whole)
+    told["warnings"] = ["one", "another"]  # all are shown: there are no more to look for
+    assert not any("more (--all)" in line for line in lines_of(capsys, told))
 
 
 def test_the_worst_frames_coverage_is_told_before_that_of_all() -> None:

@@ -269,6 +269,22 @@ def test_light_curves() -> None:
     assert -2.5 * np.log10(fainter / value[0]) == pytest.approx(1.0)
 
 
+def test_a_light_curve_fades_by_the_phase_of_its_own_target() -> None:
+    """Not by that of the target which the scene lists first."""
+    times = np.linspace(0.0, 10.0, 3)
+    low, high = circular(times), circular(times, 4.2e7)
+    view = View(*(np.concatenate([getattr(v, f) for v in (low, high)]) for f in (
+        "time_s", "place_m", "velocity_m_s", "sun_m", "observer_m")))  # fmt: skip
+    table = {"kind": "light_curve", "times_s": [0, 10], "magnitudes": [4, 4],
+             "phase_law": "linear", "mag_per_deg": 0.02, "phase_deg": 90.0}  # fmt: skip
+    curve = TypeAdapter(Body).validate_python(table)
+    value = reflected_m2_sr([body(kind="sphere", diameter_m=1.0), curve], EPOCH, view)[1]
+    sun, site = (unit(getattr(high, f)[0] - high.place_m[0]) for f in ("sun_m", "observer_m"))
+    phase_deg = np.degrees(np.arccos(np.sum(sun * site, axis=-1)))
+    magnitude = -26.76 - 2.5 * np.log10(value / 1e6**2)
+    np.testing.assert_allclose(magnitude, 4.0 + 0.02 * (phase_deg - 90.0), atol=1e-9)
+
+
 @pytest.mark.parametrize("begins_s", [0.0, -3.0, 1000.3])
 def test_a_light_curve_over_one_period_is_repeated_as_given(begins_s: float) -> None:
     """With the span as its period it jumps back from its last value to its first."""
