@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 import nightglass
@@ -186,6 +187,16 @@ def test_damaged_files_are_named(copy):
     (copy / "truth" / "targets.parquet").write_bytes(b"PAR1 and no more")
     refused(nightglass.Damaged, "plan.json: damaged", lambda: product.plan)
     refused(nightglass.Damaged, "report.json: damaged", lambda: product.report)
+    refused(nightglass.Damaged, "targets.parquet: damaged", lambda: product.truth["targets"])
+
+
+def test_a_flipped_bit_of_the_truth_is_not_read_as_a_number(copy):
+    product, path = nightglass.open_product(copy), copy / "truth" / "targets.parquet"
+    place = pq.read_schema(path).get_field_index("electrons")
+    column = pq.read_metadata(path).row_group(0).column(place)
+    data = bytearray(path.read_bytes())
+    data[column.data_page_offset + column.total_compressed_size - 1] ^= 128  # the sign of the last
+    path.write_bytes(data)
     refused(nightglass.Damaged, "targets.parquet: damaged", lambda: product.truth["targets"])
 
 

@@ -20,6 +20,7 @@ from catalog_tools.info import info
 from catalog_tools.query.query import cone, read_leaf
 from catalog_tools.storage import stores
 from catalog_tools.storage.stores import joined, open_store, without_secrets
+from catalog_tools.verify.shards import check_shard
 from catalog_tools.verify.verify import verify
 from tests.object_store import needs_s3, s3_bucket
 
@@ -182,6 +183,8 @@ def test_a_server_that_went_away(catalogue, quick):
         cone(other, 0, 0, 10)
     with pytest.raises(Incomplete):
         verify(other)
+    with pytest.raises(Incomplete, match="could not be read"):
+        check_shard(other, 0)  # a server that goes away halfway has no damaged shards
     with pytest.raises(BadInput, match="can be read"):
         open_catalogue(gone.url)
 
