@@ -136,6 +136,22 @@ def test_seconds_of_fewer_stars_and_of_all_stand_where_they_belong(monkeypatch):
     assert found.how.startswith("5 stars beyond G = 15 ")
 
 
+def test_stars_are_compared_in_the_last_frame_that_shares_them(monkeypatch):
+    """In the next one they stand where they are again, and nothing is off."""
+    from pipeline.studies.ledger import stars
+
+    plan = SimpleNamespace(shared_frames=5)
+
+    def staged(data, frame=0):
+        return SimpleNamespace(plan=plan, stars=[0] * 3, frame=frame)
+
+    monkeypatch.setattr(stars, "open_stage", staged)
+    monkeypatch.setattr(stars, "mean_e", lambda stage: np.array([stage.frame % 5 / 10.0]))
+    monkeypatch.setattr(stars, "stated", lambda *_: (1.0, "e-"))
+    [found] = stars.standing(SimpleNamespace(catalogue="none"))
+    assert found.error == pytest.approx(0.4)
+
+
 def test_the_worst_window_counts(monkeypatch):
     """Not the last one that is looked at."""
     from pipeline.studies.ledger import drawing
