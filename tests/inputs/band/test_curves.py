@@ -92,7 +92,8 @@ def test_limits_bad_efficiency(value):
         ("wavelength_nm,value\n400,0.5\n", "two rows"),
         ("", "two rows"),
         ("1000,0.5\n1100,0.5\n", "covers the band"),
-        ("400,0.5\n800,0.5\n", "covers the band"),
+        ("400,0.5\n800,0.5\n", "ends at 800 nm.*covers the band"),
+        ("300,0\n400,0.5\n800,0.5\n", "ends at 800 nm with 0.5"),
         ("1000,0\n1100,0.5\n", "wavelengths in common"),
         ("300,0\n1000,0\n", "above zero"),
     ],
@@ -117,6 +118,9 @@ def test_limits_a_table_that_ends_in_zero_narrows_the_band(tmp_path):
     path = table(tmp_path, "# measured\n\nnm,qe\n450,0\n500,0.9\n800,0.9\n850,0\n")
     response, _, _ = curves.resolve_response(BOX, 1.0, path)
     assert response.wavelength_m[[0, -1]] * 1e9 == pytest.approx([450, 850])
+    path = table(tmp_path, "300,0.9\n800,0.9\n850,0\n")  # at one end alone
+    response, _, _ = curves.resolve_response(BOX, 1.0, path)
+    assert response.wavelength_m[[0, -1]] * 1e9 == pytest.approx([400, 850])
 
 
 def test_against_every_filter_that_speclite_carries():
