@@ -52,6 +52,16 @@ def test_noise_is_of_each_target() -> None:
     assert table[0]["ra_measured_deg"] != table[1]["ra_measured_deg"]
 
 
+def test_what_is_not_seen_has_no_measured_place() -> None:
+    """Though it stands in the field: here all are asked for an SNR that none has."""
+    for least_snr, seen, measured in ((1.0, "yes", True), (1e9, "too faint", False)):
+        row = observe(parse_scene(night() | ALONE), None, least_snr, None, 7).table.to_pylist()[0]
+        assert row["seen"] == seen
+        for name in ("ra_measured_deg", "dec_measured_deg", "centroid_sigma_arcsec"):
+            value = row[name]
+            assert (value is not None and bool(np.isfinite(value))) == measured, name
+
+
 def test_a_bright_centroid_has_the_noise_of_its_own_photons() -> None:
     """s / SNR of a Gaussian response of s pixels, the pixel's own width in it."""
     sensor = night()["sensor"] | {"read_noise_e": 0.1, "psf": {"kind": "gaussian", "sigma_px": 3}}
