@@ -340,6 +340,11 @@ def test_a_core_ends_where_next_to_nothing_is_left(scene: Make, light_e: float) 
     found = 0.5 * light_e * left * math.erf(0.5 / sigma)
     told = core_ends(plan.responses, light_e, plan.facts.sigma_floor_e).error_bound_e
     assert 0.0 < found <= told <= plan.responses.budget_e
+    # where no brightest source is known, of the brightest that a usual core serves
+    unknown, known = (
+        core_ends(plan.responses, e, plan.facts.sigma_floor_e) for e in (0.0, usual.target_e)
+    )
+    assert unknown == known
 
 
 def test_without_stars_no_tables_are_told(scene: Make) -> None:

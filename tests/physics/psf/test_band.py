@@ -12,6 +12,7 @@ from pipeline.physics.psf.band import (
     Chromatic,
     Mixture,
     NoiseLimit,
+    _Field,
     _first,
     band_wavelengths,
     choose_wavelengths,
@@ -158,6 +159,17 @@ def test_difference_of_two_gaussians_against_closed_form() -> None:
     peaks = [erf(0.5 / (s * np.sqrt(2.0))) ** 2 for s in (1.0, 1.1)]
     assert response_difference(one, other) == pytest.approx(peaks[0] - peaks[1], rel=1e-3)
     assert response_difference(one, one) == 0.0
+
+
+def test_a_field_is_as_wide_as_what_charge_diffusion_makes_of_a_narrow_response() -> None:
+    """The difference of two wide Gaussians by hand, s^2 = optics^2 + diffusion^2: at their middle
+    the most, and none of it from what comes round again beyond the edge."""
+    from scipy.special import erf
+
+    field = _Field(Blur(Gaussian(0.5), 0.0, 10.0), 10.0)
+    found = field.difference(Blur(Gaussian(1.5), 0.0, 10.0))
+    peaks = [erf(0.5 / np.sqrt(2.0 * (s**2 + 100.0))) ** 2 for s in (0.5, 1.5)]
+    assert np.abs(found).max() == pytest.approx(peaks[0] - peaks[1], rel=0.02)
 
 
 def test_errors_beside_the_brightest_source_are_over_the_noise_there() -> None:
