@@ -13,7 +13,15 @@ from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput
 from pipeline.physics.psf.band import BandOptics, NoiseLimit, choose_wavelengths
 from pipeline.physics.psf.pupil import Airy, Blur
-from pipeline.plan.accuracy import doubts_of, for_sources, judge, parts, total_e, total_sigma
+from pipeline.plan.accuracy import (
+    doubts_of,
+    for_sources,
+    judge,
+    part_sigma,
+    parts,
+    total_e,
+    total_sigma,
+)
 from pipeline.plan.decision import Decision
 from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import load_scene, parse_scene
@@ -112,6 +120,15 @@ def test_every_part_is_counted(scene: Any) -> None:
     assert parts(airy) == 5.25  # and the wings' grid and end, the wavelengths
     with_sky = scene({"sensor.psf": {"kind": "airy"}, "background": {"zodiacal": True}})
     assert parts(with_sky) == 5.5
+
+
+def test_without_photon_noise_an_approximation_may_err_by_a_quarter(scene: Any) -> None:
+    """Several bright sources of a pixel add their errors, and no noise of theirs hides them."""
+    gaussian = {"sensor.psf": {"kind": "gaussian", "sigma_px": 1.0}}
+    asked = {"accuracy": {"noise_fraction": 0.09}}
+    assert part_sigma(scene(gaussian | asked)) == pytest.approx(0.09 / 2.25)
+    quiet = scene(gaussian | asked | {"sensor.photon_noise": False})
+    assert part_sigma(quiet) == pytest.approx(0.09 / 2.25 / 4.0)
 
 
 @pytest.mark.parametrize("light_e", [1e4, 1e6, 1e8])

@@ -51,6 +51,8 @@ def test_a_job_outlives_its_store(tmp_path: Path) -> None:
     taken = again.claim()
     assert taken is not None
     assert (taken.id, taken.attempt) == (job.id, 2)
+    assert claimed.started_s is not None
+    assert taken.started_s == claimed.started_s  # from which the time that it may take is counted
 
 
 def test_an_earlier_attempt_can_no_longer_write(store: Queue) -> None:
