@@ -90,6 +90,11 @@ def test_old_orbits_are_told_at_the_times_asked_for() -> None:
     notes = observe(scene, [0.0, 10.0 * 3600.0]).notes
     assert any(note.startswith("the observer: its own orbit: two-body") for note in notes)
     assert any(note.startswith("3 of the targets move as two bodies") for note in notes)
+    line1, line2 = tle(7, 51.6, 10.0, 0.001, 20.0, 30.0, 15.2)
+    mean = {"name": "mean", "orbit": {"kind": "tle", "line1": line1, "line2": line2}, "body": BALL}
+    one = parse_scene(night(targets=[night()["targets"][0], mean], background=None))
+    notes = observe(one, [0.0, 10.0 * 3600.0]).notes
+    assert any(note.startswith("1 of the targets move as two bodies") for note in notes)
     assert not any("two-body motion" in note for note in observe(scene, [0.0, 10.0]).notes)
 
 

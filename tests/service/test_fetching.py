@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import httpx
 import pytest
 
+from pipeline.errors import Incomplete
 from service import fetching
 
 
@@ -46,3 +47,19 @@ def test_a_connection_that_breaks_within_a_file_is_gone_on_with(tmp_path: Path, 
     assert [path.name for path in tmp_path.iterdir()] == ["a.bin"]
     assert asked == [f"bytes={k}-" if k else None for k in range(had, 10, 3)]
     assert sum(counted) == len(whole)
+
+
+def test_a_file_that_did_not_come_is_not_called_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same command goes on from there: what one file's download says is what is told."""
+
+    def broken(*_: object) -> None:
+        raise Incomplete("a.bin: 3 of 10 bytes came")
+
+    monkeypatch.setattr(fetching, "_listing", lambda _: [("a.bin", 10)])
+    monkeypatch.setattr(fetching, "_fetch", broken)
+    client = SimpleNamespace(ask=lambda *_: SimpleNamespace(content=b"{}"))
+    job = SimpleNamespace(client=client, path="/v1/jobs/x", facts={})
+    with pytest.raises(Incomplete, match="3 of 10 bytes came"):
+        fetching.fetch_product(job, tmp_path / "run", 2, None)

@@ -26,7 +26,7 @@ from catalog_tools.fetch.fetched import note_coverage
 from catalog_tools.forms import load_form
 from catalog_tools.info import info
 from catalog_tools.ingest import batches, build, duplicates, leaves, memory, publish
-from catalog_tools.ingest.ingest import FileSource, ingest
+from catalog_tools.ingest.ingest import SYNTHETIC_MARK, FileSource, ingest
 from catalog_tools.ingest.judging import PLACE_COLUMN
 from catalog_tools.ingest.shards import band_slices
 from catalog_tools.partition import choose_leaves, coarser, healpix_29
@@ -56,6 +56,20 @@ def parts(tmp_path):
     for i in range(3):
         write_csv(folder / f"part{i}.csv.gz", stars.slice(2000 * i, 2000))
     return stars, sorted(folder.iterdir())
+
+
+def test_stars_that_are_partly_made_up_are_not_called_real(tmp_path, parts):
+    """One of three files lies beside the mark that the synthetic sky leaves."""
+    _, files = parts
+    made = tmp_path / "made"
+    made.mkdir()
+    (made / SYNTHETIC_MARK).write_text("{}\n")
+    shutil.move(files[1], made)
+    sources = [files[0], made / files[1].name, files[2]]
+    ingest(sources, tmp_path / "mixed", workers=1)
+    assert open_catalogue(tmp_path / "mixed").synthetic
+    ingest(sources[::2], tmp_path / "real", workers=1)
+    assert not open_catalogue(tmp_path / "real").synthetic
 
 
 def test_same_bits_for_any_order_and_workers(tmp_path, parts):

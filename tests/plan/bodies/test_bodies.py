@@ -26,13 +26,14 @@ from pipeline.plan.bodies.bodies import (
     flicker_share,
     target_lights,
 )
-from pipeline.plan.bodies.orbits import orbit_states
+from pipeline.plan.bodies.orbits import Movers, orbit_states
 from pipeline.plan.bodies.shapes import light_curve_m2_sr, reflected_m2_sr
 from pipeline.plan.bodies.sights import sights
 from pipeline.plan.pointing.geometry import moments_at, plan_geometry
 from pipeline.spec.load import parse_scene
 from pipeline.spec.targets.body import Body, Lighting
-from pipeline.spec.targets.orbit import KeplerianOrbit
+from pipeline.spec.targets.orbit import KeplerianOrbit, TleOrbit
+from tests.physics.positions.test_orbit_skyfield import tle
 
 EPOCH = parse_utc("2019-07-20T09:00:00Z")
 AU = 1.495978707e11
@@ -302,6 +303,18 @@ def test_a_light_curve_over_one_period_is_repeated_as_given(begins_s: float) -> 
 
 def scene_of(target_body: dict[str, Any], **changes: Any) -> Any:
     return parse_scene(SKY | {"targets": [TARGET | {"body": target_body} | changes]})
+
+
+def test_a_target_faster_than_light_is_named_among_others() -> None:
+    """By its own field, though it is the first of its kind and the second of all."""
+    line1, line2 = tle(7, 51.6, 10.0, 0.001, 20.0, 30.0, 15.2)
+    slow = TleOrbit(kind="tle", line1=line1, line2=line2)
+    fast = KeplerianOrbit(kind="keplerian", perigee_radius_m=1e3, eccentricity=1e6,
+                          inclination_deg=0.0, true_anomaly_deg=0.0)  # fmt: skip
+    movers = Movers([slow, fast], ["targets.0.orbit", "targets.1.orbit"], EPOCH,
+                    instants(EPOCH, np.zeros(1), 0.0))  # fmt: skip
+    with pytest.raises(BadInput, match=r"targets\.1\.orbit\.eccentricity.*below that of light"):
+        movers.states(np.zeros((2, 1)))
 
 
 def test_band_albedos() -> None:
