@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import partial
 
@@ -141,7 +141,8 @@ def _average(
             one = View(*(getattr(view, v.name)[k : k + 1, some] for v in fields(View)))
             known = (one, at.earth.sun_from_earth_m[some], seen.range_m[k : k + 1, some])
             tt = at.times.tt1[some], at.times.tt2[some]
-            between = partial(_light_between, target, field, at.epoch, *known, tt)
+            table = _tabled_light(scene, i, at), at.offset_s[some]
+            between = partial(_light_between, target, field, at.epoch, *known, tt, *table)
             often = looks_for_means(target.body, float(asked[f]))
             share = CLOSE * scene.accuracy.flux_fraction
             light[k, some] = mean_light(between, nodes, *often, share)
@@ -155,6 +156,8 @@ def _light_between(
     sun_from_earth_m: Array,
     range_m: Array,
     tt: tuple[Array, Array],
+    table: Callable[[Array, View], Array] | None,
+    offset_s: Array,
     places: Array,
 ) -> Array:
     """Light (n,) of one target at places (n,) between the nodes (K) of an exposure, 0 to 1."""
@@ -164,7 +167,9 @@ def _light_between(
         on = partial(_on_lines, begin, places[some] * last - begin)
         one = View(*(on(getattr(view, v.name)) for v in fields(View)))
         sun, tts = on(sun_from_earth_m[None])[0], (on(tt[0][None])[0], on(tt[1][None])[0])
-        out[some] = target_lights([target], [field], epoch, one, sun, tts, on(range_m))[0][0]
+        tabled = {} if table is None else {0: table(on(offset_s[None])[0], one)}
+        known = sun, tts, on(range_m), 1, tabled
+        out[some] = target_lights([target], [field], epoch, one, *known)[0][0]
     return out
 
 
@@ -189,16 +194,21 @@ def clear_of_earth(scene: Scene, at: Moments, seen: TargetSight, observed: Array
 
 def _tabled(scene: Scene, which: range, at: Moments, view: View) -> dict[int, Array]:
     """Lights (n, C) of meshes whose light was worked out beforehand, by their place in `which`."""
-    out = {}
-    for k, i in enumerate(which):
-        if isinstance(scene.targets[i].body, MeshBody):
-            from pipeline.plan.bodies.mesh_tables import table_of, table_phase
+    tables = ((k, _tabled_light(scene, i, at)) for k, i in enumerate(which))
+    return {k: light(at.offset_s, view.of(np.array([k]))) for k, light in tables if light}
 
-            table = table_of(scene, i, at)
-            if table is not None:
-                phase = table_phase(scene, i, view.of(np.array([k])))
-                out[k] = table.at(at.offset_s, phase)
-    return out
+
+def _tabled_light(scene: Scene, index: int, at: Moments) -> Callable[[Array, View], Array] | None:
+    """Lights (n, C) of a mesh that were worked out beforehand, by seconds after the epoch and its
+    view; None of what has no table."""
+    if not isinstance(scene.targets[index].body, MeshBody):
+        return None
+    from pipeline.plan.bodies.mesh_tables import table_of, table_phase
+
+    table = table_of(scene, index, at)
+    if table is None:
+        return None
+    return lambda offset_s, view: table.at(offset_s, table_phase(scene, index, view))
 
 
 def batches(count: int, moments: int) -> Iterator[range]:
