@@ -244,6 +244,13 @@ def _sum(one: Spectrum | None, other: Spectrum | None) -> Spectrum | None:
     return one
 
 
+def _wings_of(light_e: Array, kernel: Spectrum) -> Spectrum:
+    """Spectrum of the wings of light on a grid."""
+    out: Spectrum = scipy.fft.rfft2(light_e)
+    out *= kernel
+    return out
+
+
 def _target_wings(plan: Plan, grid: WingGrid, targets: list[FrameTarget]) -> Spectrum | None:
     """Spectrum of the wings of sources along paths of their own.
 
@@ -286,9 +293,7 @@ def _point_wings(
         for blur, which, part_e in r.parts(x[mine], y[mine], light[mine]):
             kernel = kernel_of(blur, core.radius_px, grid, r.reach_px)
             at = mine[which]
-            wings = scipy.fft.rfft2(spread(grid, x[at], y[at], part_e))
-            wings *= kernel
-            total = _sum(total, wings)
+            total = _sum(total, _wings_of(spread(grid, x[at], y[at], part_e), kernel))
     return total
 
 
@@ -302,9 +307,7 @@ def _body_wings(plan: Plan, grid: WingGrid, target: FrameTarget) -> Spectrum | N
         light = spread_body(grid, target.body, (target.y_px, target.x_px), light_e)
         if light.any():
             kernel = kernel_of(blur, core.radius_px, grid, r.reach_px)
-            wings = scipy.fft.rfft2(light)
-            wings *= kernel
-            total = _sum(total, wings)
+            total = _sum(total, _wings_of(light, kernel))
     return None if total is None else total * streak_of(grid, target.path)
 
 

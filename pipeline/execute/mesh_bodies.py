@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.physics.constants import SUN_RADIUS_RAD
 from pipeline.physics.drawing.pictures import cell_error
 from pipeline.physics.meshes.facets import Facets
 from pipeline.physics.meshes.intensity import (
@@ -20,7 +21,6 @@ from pipeline.physics.meshes.model import MeshModel, posed
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.targets.disc import Picture, picture
 from pipeline.physics.vectors import unit
-from pipeline.plan.bodies.meshes import SUN_RADIUS_RAD
 from pipeline.spec.targets.mesh import MeshBody
 
 Array = NDArray[np.float64]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
+from pipeline.physics.constants import SUN_RADIUS_RAD
 from pipeline.physics.meshes import brdf
 from pipeline.physics.meshes.brdf_table import BrdfTable, brdf_table
 from pipeline.physics.meshes.intensity import Brdf, FacetSurface
@@ -32,7 +33,7 @@ LARGEST_TABLE_BYTES = 100_000_000
 # Sharper highlights than these are drawn with the Sun as a disc of 0.53 degrees: below, it changes
 # their peak by less than 1%
 SHARP_EXPONENT, SHARP_ROUGHNESS, SUN_RINGS = 400.0, 0.05, 3
-RINGS_A_HIGHLIGHT = 2.0 * 4.652e-3  # two rings within each highlight's width, across the disc [rad]
+RINGS_A_HIGHLIGHT = 2.0 * SUN_RADIUS_RAD  # two of the disc within each highlight's width [rad]
 
 
 class Palette:

@@ -43,8 +43,7 @@ def looks_asked(
 
     first_s, last_s : (F,) when its light leaves it, after the scene's epoch
     """
-    own = np.full(len(span_s), min(_turns_s(body), default=np.inf) * LOOKS / LOOKS_A_TURN)
-    own = np.minimum(own, LOOKS * min(_flashes_s(body), default=np.inf))
+    own = np.full(len(span_s), min(_turns_s(body), default=np.inf) * LOOKS * _least_turn(body))
     for times_s, period_s in _tables(body, epoch):
         own = np.minimum(own, apart_s(times_s, period_s, first_s, last_s))
     return np.asarray(LOOKS * span_s / own)
@@ -65,9 +64,8 @@ def has_means(body: Body | MeshBody, asked: Array) -> NDArray[np.bool_]:
 def looks_for_means(body: Body | MeshBody, asked: float) -> tuple[float, int]:
     """How many times an exposure is looked at for the means of a body's light, at least and at
     most."""
-    finer, most = (FINER, MOST_FINE)
-    if isinstance(body, MeshBody):
-        finer, most = (MESH_FINER, MESH_MOST_FINE)
+    dear = isinstance(body, MeshBody)
+    finer, most = (MESH_FINER, MESH_MOST_FINE) if dear else (FINER, MOST_FINE)
     return min(finer * asked, most), most
 
 
@@ -130,11 +128,10 @@ def _turns_s(body: Body | MeshBody) -> Iterator[float]:
             yield 360.0 / abs(law.rate_deg_s)
 
 
-def _flashes_s(body: Body | MeshBody) -> Iterator[float]:
-    """How long the narrowest highlight of what spins takes to brighten [s]."""
-    if isinstance(body, MeshBody):
-        turns = body.highlight_rad / (2.0 * math.pi)
-        yield from (turns * turn_s for turn_s in _turns_s(body))
+def _least_turn(body: Body | MeshBody) -> float:
+    """Which part of a turn is looked at once: less of what has narrow highlights."""
+    highlight_rad = body.highlight_rad if isinstance(body, MeshBody) else math.inf
+    return min(1.0 / LOOKS_A_TURN, highlight_rad / (2.0 * math.pi))
 
 
 def _laws(body: Body | MeshBody) -> Iterator[Attitude | None]:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
+from pipeline.physics.constants import SUN_RADIUS_RAD
 from pipeline.physics.meshes.lamps import Lamps, wide_lamp_intensity
 from pipeline.physics.meshes.model import MeshModel, knots_of, model_light, posed, way_rad
 from pipeline.physics.targets.attitude import in_body_axes
@@ -15,7 +16,6 @@ from pipeline.spec.targets.mesh import MeshBody
 
 Array = NDArray[np.float64]
 
-SUN_RADIUS_RAD = 4.652e-3  # 695,700 km at 1 au
 STEP_RAD = 0.01  # between moments that are worked out, of bodies without sharp highlights, or
 STEP_OF_HIGHLIGHT = 0.05  # of the narrowest, if less: lines between are off by 3e-4 of its peak
 EARTH_STEP_RAD = 0.05  # the same for the Earth's light, which is wide; with highlights STEP_RAD
