@@ -26,10 +26,11 @@ PATIENCE = 10.0  # a facet's first tolerance over its even share of the error as
 MOST = 0.25  # of the error asked for: what one facet may take of it
 LINES = 4  # across a cell of a picture
 MOST_CELLS = 4096  # along a side of a picture
+AT_ONCE = 2**16  # BRDF values worked out together
 
 
 class Brdf(Protocol):
-    """How a surface reflects: unit vectors (n, 3), (3,), (3,) to BRDF values (n,) [1/sr]."""
+    """How a surface reflects: unit vectors (n, 3), (m, 1, 3), (3,) to BRDF values (m, n) [1/sr]."""
 
     def __call__(self, normal: Array, sun: Array, observer: Array) -> Array: ...
 
@@ -147,9 +148,12 @@ def facet_weights(
             continue
         towards = normal[mine] * sign[mine, None]
         rings = surface.sun_rings if sun_radius_rad > 0.0 else 0
-        points = sun_points(sun, sun_radius_rad, rings)
-        each = [surface.brdf(towards, p, observer) * np.maximum(towards @ p, 0.0) for p in points]
-        weight[mine] = np.mean(each, axis=0)
+        points = sun_points(sun, sun_radius_rad, rings)[:, None]
+        total = np.zeros(len(mine))
+        for some in np.array_split(points, -(-len(points) * len(mine) // AT_ONCE)):
+            lit = np.maximum(np.sum(towards * some, axis=-1), 0.0)
+            total += np.sum(surface.brdf(towards, some, observer) * lit, axis=0)
+        weight[mine] = total / len(points)
     return sign, weight
 
 

@@ -65,7 +65,10 @@ def light(made: Scene, frame: int = 0) -> np.ndarray:
 
 
 def mean_light(made: Scene) -> float:
-    values = light(made)
+    return mean_over_nodes(light(made))
+
+
+def mean_over_nodes(values: np.ndarray) -> float:
     return float(np.trapezoid(values, dx=1.0 / (len(values) - 1)))
 
 
@@ -253,11 +256,11 @@ def test_glints_of_a_mesh_that_turns_once_in_an_exposure(tmp_path: Path) -> None
     (tmp_path / "a.obj").write_text("\n".join(lines))
     mesh = {"kind": "mesh", "path": str(tmp_path / "a.obj"), "unit": "m", "surface": FOIL}
     found = []
-    for phase in (0.0, 100.3, 200.9, 301.7):
+    for phase in (0.0, 100.3, 301.7):
         law = {"kind": "spin", "axis": [0.0, 0.0, 1.0], "rate_deg_s": 360.0, "phase_deg": phase}
         made = gather_meshes(scene(mesh | {"attitude": law}))
-        found.append(mean_light(made))
         g = plan_geometry(made, np.array([0]), 0.0)
+        found.append(mean_over_nodes(g.frame_slice(0).target_light[0, 0]))
         assert light_off(made, g, np.ones((1, 1), bool)) < 1e-3
     assert np.ptp(found) < 1e-3 * found[0]
 
