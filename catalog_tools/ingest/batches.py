@@ -28,7 +28,15 @@ from ..errors import Damaged
 from ..geometry.gaia_ids import LEAST_CHECKED, MOST_LOOKED_AT, refuse_most
 from ..partition import Pixels, coarser_counts
 from ..storage.durable import save_array, sync, write_atomically
-from .judging import MISPLACED, PLACE_COLUMN, REJECTS, Columns, beyond_limits, judge
+from .judging import (
+    MISPLACED,
+    PLACE_COLUMN,
+    REJECTS,
+    Columns,
+    Coordinates,
+    beyond_limits,
+    judge,
+)
 from .pieces import CHANGED, SortedRun, is_whole, write_piece
 
 ROWS_THAT_TELL = 10_000  # of a source, of which most must stand where their source_ids say
@@ -111,11 +119,12 @@ def _read(batch: Batch, root: Path, name: str, piece_rows: int) -> JsonObject:
     rejects = pa.ipc.new_file(str(folder / REJECTS_NAME), REJECTS)
     for source in batch.sources:
         record: JsonObject = {"name": source.label, "bytes": None, "md5": None, "rows": 0}
-        places, beyond = _Places(source), Counter[str]()
+        places, beyond, looks = _Places(source), Counter[str](), Coordinates()
         for table in source.tables(record):
             kept, columns, bad = judge(table, source.label, record["rows"], places.compared)
             places.add(columns["source_id"], bad)
             beyond.update(beyond_limits(table))
+            looks.add(table["ra"].to_numpy(), table["dec"].to_numpy())
             if bad.num_rows:
                 rejects.write_table(bad)
                 reasons.update(bad["reason"].to_pylist())
@@ -123,7 +132,7 @@ def _read(batch: Batch, root: Path, name: str, piece_rows: int) -> JsonObject:
             record["rows"] += table.num_rows
         places.check()
         record["unlike_gaia"] = places.unlike_gaia
-        record["beyond"] = dict(beyond)
+        record["beyond"], record["doubts"] = dict(beyond), list(looks.doubts())
         records.append(record)
     held.write()
     pixels, counts = held.counts()

@@ -55,7 +55,7 @@ from .pieces import Pieces
 from .publish import Workspace, publishing
 
 REQUEST_NAME = "request.json"
-PROGRESS_VERSION = 4  # of everything that is kept of an unfinished build
+PROGRESS_VERSION = 5  # of everything that is kept of an unfinished build
 BATCH_BYTES = 96 << 20  # of files as they come: some 300,000 gzipped rows of Gaia
 BATCH_SOURCES = 64
 REJECTS_ROWS = 100_000
@@ -198,7 +198,18 @@ def _notes_on(records: Sequence[Record], about: About, folder: Path) -> tuple[st
     if 1000 * unlike > sum(record["rows"] for record in records):
         text = f"{unlike} rows have source_ids below 2**45, which are hardly Gaia's"
         notes.append(f"{text}: their places were not compared with them")
-    return (*notes, *_notes_on_limits(records))
+    return (*notes, *_notes_on_limits(records), *_doubts(records))
+
+
+def _doubts(records: Sequence[Record]) -> Iterator[str]:
+    """What is likely to be wrong with the places of some sources; each doubt once."""
+    of_sources: dict[str, list[str]] = {}
+    for record in records:
+        for doubt in record["doubts"]:
+            of_sources.setdefault(doubt, []).append(record["name"])
+    for doubt, names in of_sources.items():
+        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        yield f"{names[0]}{more}: {doubt}"
 
 
 def _notes_on_limits(records: Sequence[Record]) -> Iterator[str]:

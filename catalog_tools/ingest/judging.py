@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
@@ -18,6 +19,9 @@ COLOURS = ("phot_bp_mean_mag", "phot_rp_mean_mag")  # without both a star has no
 DUPLICATE = "source_id occurs more than once"
 ELSEWHERE = "source_id occurs more than once, at another place"
 MISPLACED = "place is not that of its source_id"
+ROWS_OF_A_DOUBT = 100
+SHARE_OF_SINGLE = 0.99  # doubles that end after some bits by chance are far fewer
+TURNS = {"hours": 24.0, "radians": 2.0 * np.pi}
 
 # In this order; the first reason that holds is the one given.
 REASONS = (
@@ -86,6 +90,48 @@ def beyond_limits(table: pa.Table) -> dict[str, int]:
         sizes = {name: np.abs(table[name].to_numpy()) for name in LIMITS}
         many = {n: int(np.sum((v > LIMITS[n]) & (v < np.inf))) for n, v in sizes.items()}
     return {name: count for name, count in many.items() if count}
+
+
+@dataclass
+class Coordinates:
+    """How the positions of a source look as numbers, before any of them is rejected.
+
+    rows : finite ones; single : those of them that single precision holds to the last bit;
+    least_ra, largest_ra : as the form reads them [deg]
+    """
+
+    rows: int = 0
+    single: int = 0
+    least_ra: float = np.inf
+    largest_ra: float = -np.inf
+
+    def add(self, ra: np.ndarray, dec: np.ndarray) -> None:
+        """Look at more rows; (n,) each, NaN where there is none."""
+        sound = np.isfinite(ra) & np.isfinite(dec)
+        ra, dec = ra[sound], dec[sound]
+        self.rows += ra.size
+        with np.errstate(over="ignore"):
+            single = (ra == ra.astype(np.float32)) & (dec == dec.astype(np.float32))
+        self.single += int(np.count_nonzero(single))
+        self.least_ra = float(ra.min(initial=self.least_ra))
+        self.largest_ra = float(ra.max(initial=self.largest_ra))
+
+    def doubts(self) -> Iterator[str]:
+        """What is likely to be wrong with them, in words; so few rows tell nothing."""
+        if self.rows < ROWS_OF_A_DOUBT:
+            return
+        if self.single > SHARE_OF_SINGLE * self.rows:
+            step = 3.6e6 * float(np.spacing(np.float32(self.largest_ra)))
+            yield (
+                f"places have single precision: right ascensions are off by up to {step / 2:.2g}"
+                " mas (a column of doubles, or a text with 9 decimals, holds them whole)"
+            )
+        for unit, turn in TURNS.items():
+            if self.least_ra < 0.02 * turn and 0.98 * turn < self.largest_ra <= turn:
+                yield (
+                    f"right ascensions lie between 0 and {turn:.3g}: are they {unit}? They were"
+                    " read as degrees (--form with a column map says another unit)"
+                )
 
 
 def _numbers(column: pa.ChunkedArray, limit: float) -> np.ndarray:

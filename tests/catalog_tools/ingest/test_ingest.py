@@ -658,3 +658,42 @@ def test_a_release_that_no_file_names_is_told(tmp_path, more, form, is_noted):
     assert any(told in note for note in report.notes) == is_noted
     assert told in info(report.catalogue)["facts"].get("release", "") or not is_noted
     assert ("release" in info(report.catalogue)["facts"]) == is_noted
+
+
+PLACES_ALONE = """
+name = "places"
+description = "Places."
+credit = "nobody"
+epoch_scale = "TCB"
+ref_epoch_jyear = 2015.5
+source_id = { rule = "position" }
+ra = { from = "ra", unit = "deg" }
+dec = { from = "dec", unit = "deg" }
+phot_g_mean_mag = { from = "g", unit = "mag" }
+"""
+
+
+@pytest.mark.parametrize(
+    ("turn", "kind", "said"),
+    [
+        (360.0, "float32", "single precision: right ascensions are off by up to 55 mas"),
+        (24.0, "float64", "between 0 and 24: are they hours?"),
+        (2.0 * np.pi, "float64", "between 0 and 6.28: are they radians?"),
+        (360.0, "float64", None),
+    ],
+)
+def test_places_that_look_wrong_are_told(tmp_path, turn, kind, said):
+    """Some hundred stars all over the sky as another unit or precision would write them."""
+    rng = np.random.default_rng(7)
+    ra = np.linspace(0.001, 0.999, 300) * turn
+    dec = rng.uniform(-80.0, 80.0, 300) * turn / 360.0
+    table = {"ra": ra.astype(kind), "dec": dec.astype(kind), "g": rng.uniform(5.0, 15.0, 300)}
+    pq.write_table(pa.table(table), tmp_path / "stars.parquet")
+    (tmp_path / "map.toml").write_text(PLACES_ALONE)
+    made = ingest([tmp_path / "stars.parquet"], tmp_path / "out", form=tmp_path / "map.toml")
+    told = [note for note in made.notes if "are off by" in note or "are they" in note]
+    assert [said in note for note in told] == [True] * (said is not None)
+    assert all(note.startswith("stars.parquet: ") for note in told)
+    if kind == "float32":  # what is told is the rounding of single precision near 360 degrees
+        off_mas = 3.6e6 * np.abs(ra.astype(kind).astype(float) - ra).max()
+        assert 40.0 < off_mas <= 55.0
