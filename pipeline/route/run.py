@@ -83,6 +83,8 @@ def render(
     options, started = options or Options(), time.perf_counter()
     place = place_for(product, "-o")
     with place.explained():
+        if share is None:
+            place.check_free(options.resume, options.replace)
         prepared = prepare(scene)
         summary = summary_of(prepared)
         check_cost(scene, summary, options.most_cpu_s)

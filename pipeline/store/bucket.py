@@ -41,6 +41,10 @@ class Bucket(Place):
             told = f"{self.name}: not found: {error}; what is finished is kept"
             raise Incomplete(told) from None
 
+    def check_free(self, resume: bool, replace: bool) -> None:
+        if not replace:
+            remote.check_free_remote(self._objects, resume)
+
     @contextmanager
     def written(self, claim: Claim) -> Iterator[BucketWriting]:
         objects = self._objects

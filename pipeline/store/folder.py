@@ -20,6 +20,7 @@ from pipeline.store.product import (
     Verdict,
     begin,
     check,
+    check_free,
     is_begun,
     is_sealed,
     make_together,
@@ -36,6 +37,12 @@ class Folder(Place):
 
     def explained(self) -> AbstractContextManager[None]:
         return layout.full_disk(self.path)
+
+    def check_free(self, resume: bool, replace: bool) -> None:
+        if not replace:
+            check_free(self.path, resume)
+        elif self.path.exists() and not is_begun(self.path):
+            raise BadInput("--replace", self.name, "a product made by `nightglass render`")
 
     @contextmanager
     def written(self, claim: Claim) -> Iterator[FolderWriting]:
@@ -66,8 +73,7 @@ class Folder(Place):
 
     def _remove(self, wait_s: float) -> None:
         """Remove an old product (only a product, never any other folder)."""
-        if not self.path.is_dir() or not is_begun(self.path):
-            raise BadInput("--replace", self.name, "a product made by `nightglass render`")
+        self.check_free(resume=False, replace=True)
         with layout.only_writer(self.path, wait_s=wait_s):
             shutil.rmtree(self.path)
 

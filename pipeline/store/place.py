@@ -81,6 +81,10 @@ class Place(ABC):
         """Faults of the place itself become DiskFull or Incomplete, and name the product."""
 
     @abstractmethod
+    def check_free(self, resume: bool, replace: bool) -> None:
+        """Raise BadInput where what is there, or is not, makes `written` refuse: before a plan."""
+
+    @abstractmethod
     def written(self, claim: Claim) -> AbstractContextManager[Writing]:
         """Hold the product, made or taken up, as its only writer.
 

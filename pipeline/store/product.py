@@ -69,13 +69,8 @@ def begin(
     another scene, catalogue or version of the format.
     """
     identity = identity_of(plan, catalogue_digest)
-    if path.exists() and not resume:
-        raise BadInput(
-            "-o", str(path), "a path that does not exist yet; or give --resume or --replace"
-        )
+    check_free(path, resume)
     if not path.exists():
-        if resume:
-            raise BadInput("--resume", str(path), "a product that was begun before")
         _make_folders(path)
         create_arrays(path, plan)
         sync_all(path / layout.CUBE)  # the record of the beginning vouches for it
@@ -83,6 +78,15 @@ def begin(
         layout.write_atomically(path / layout.BEGUN, layout.to_json(identity))
         return Begun(path, _writer(path, plan), frozenset(), frozenset(), ())
     return _take_up(path, plan, identity, mine)
+
+
+def check_free(path: Path, resume: bool) -> None:
+    """BadInput where a new product's path exists, or that of one to be taken up does not."""
+    if path.exists() and not resume:
+        allowed = "a path that does not exist yet; or give --resume or --replace"
+        raise BadInput("-o", str(path), allowed)
+    if resume and not path.exists():
+        raise BadInput("--resume", str(path), "a product that was begun before")
 
 
 def is_begun(path: Path) -> bool:

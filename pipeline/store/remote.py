@@ -75,16 +75,7 @@ def begin_remote(
     resume : None where either is right (parts); mine : which tiles are this writer's
     Raises BadInput as `begin` does.
     """
-    there = {n: o for n, o in objects.names().items() if not n.startswith(layout.LOCK)}
-    bare = layout.BEGUN not in there and _is_bare_beginning(there)
-    if bare:  # cut off before it was begun: begun anew
-        there = {}
-    if there and resume is False:
-        raise BadInput(
-            "-o", objects.url, "a place where nothing is yet; or give --resume or --replace"
-        )
-    if resume and layout.BEGUN not in there and not bare:
-        raise BadInput("--resume", objects.url, "a product begun by `nightglass render`")
+    there = check_free_remote(objects, resume)
     staged = begin(stage, plan, catalogue_digest, resume=False).writer
     writer = RemoteWriter(objects.url, staged.layers, staged.chunk, staged.compression)
     if layout.BEGUN not in there:
@@ -99,6 +90,23 @@ def begin_remote(
     done, faults = _done(objects, there, mine or (lambda *_: True))
     truth = _truth_done(objects, plan, there)
     return Begun(stage, writer, frozenset(done), frozenset(truth), tuple(faults))
+
+
+def check_free_remote(objects: Objects, resume: bool | None) -> dict[str, Listed]:
+    """What lies there of a product: nothing for a new one, and its beginning to take one up.
+
+    What was cut off before it was begun counts as nothing. Raises BadInput as `begin` does.
+    """
+    there = {n: o for n, o in objects.names().items() if not n.startswith(layout.LOCK)}
+    bare = layout.BEGUN not in there and _is_bare_beginning(there)
+    if bare:
+        there = {}
+    if there and resume is False:
+        allowed = "a place where nothing is yet; or give --resume or --replace"
+        raise BadInput("-o", objects.url, allowed)
+    if resume and layout.BEGUN not in there and not bare:
+        raise BadInput("--resume", objects.url, "a product begun by `nightglass render`")
+    return there
 
 
 def _is_bare_beginning(names: Collection[str]) -> bool:

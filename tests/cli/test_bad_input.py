@@ -166,6 +166,17 @@ def test_output_that_exists(tmp_path):
         assert [p.name for p in (tmp_path / "run").iterdir()] == ["mine.txt"]
 
 
+@pytest.mark.parametrize("more", [[], ["--replace"]])
+def test_output_that_exists_is_told_before_anything_is_planned(tmp_path, more):
+    """A catalogue that is not there would be told first by a plan."""
+    data = changed({"stars": {"catalogue": str(tmp_path / "nowhere")}})
+    (tmp_path / "scene.json").write_text(json.dumps(data))
+    (tmp_path / "run").mkdir()
+    result = nightglass("render", tmp_path / "scene.json", "-o", tmp_path / "run", *more)
+    assert result.returncode == 2
+    assert f"{more[0] if more else '-o'}: '{tmp_path / 'run'}'" in result.stderr
+
+
 def test_damaged_shard(catalogue, tmp_path):
     """A flipped bit in a shard is an error that names it, and leaves nothing behind."""
     opened = open_catalogue(catalogue)
