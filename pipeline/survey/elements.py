@@ -20,7 +20,7 @@ from pipeline.physics.positions.orbit_sgp4 import sgp4
 from pipeline.physics.positions.times import elapsed_s
 from pipeline.physics.targets.sphere import sphere_area_function
 from pipeline.plan.bodies.albedos import albedo_of
-from pipeline.plan.targets.populations import Sizes, member_body, nearest_sets
+from pipeline.plan.targets.populations import Sizes, Unmet, member_body, nearest_sets
 from pipeline.spec.study import PriorityRule, Synthetic
 from pipeline.spec.targets.body import Body, LightCurveBody, SphereBody
 from pipeline.spec.targets.population import Population
@@ -116,9 +116,10 @@ def gather_elements(
         sizes: Sizes = {}
         if population.sizes is not None:
             sizes = read_sizes(Path(population.sizes), f"{place}.sizes")
-        first_row = len(rows)
+        unmet = Unmet(population, sizes)
         for batch in element_sets(Path(population.path), f"{place}.path"):
             census.read += len(batch)
+            unmet.see(one for one in batch if one.satellite is not None)
             for one in batch:
                 if one.satellite is None:
                     census["not readable"] += 1
@@ -126,23 +127,10 @@ def gather_elements(
                 else:
                     body = member_body(population, sizes, one.name, one.number)
                     rows.append((one, _reflecting_m2(body, place), population.eclipse))
-        census.unmet += _unmet(population, sizes, [one for one, *_ in rows[first_row:]], place)
+        census.unmet += tuple(f"{place}.{told}" for told in unmet.told())
     if not rows:
         raise BadInput(f"{field}.0.path", first or "nothing", "element sets to be read")
     return _nearest(_columns(rows), middle, census)
-
-
-def _unmet(
-    population: Population, sizes: Sizes, sets: Sequence[ElementSet], field: str
-) -> tuple[str, ...]:
-    """Rules of a population that name no object of its file, and a table of sizes with none."""
-    names = [one.name.lower() for one in sets]
-    words = [rule.name_contains for rule in population.rules]
-    idle = [f"'{word}'" for word in words if not any(word.lower() in name for name in names)]
-    told = [f"{field}.rules: no object's name contains {', '.join(idle)}"] if idle else []
-    if population.sizes is not None and sizes.keys().isdisjoint(one.number for one in sets):
-        told.append(f"{field}.sizes: none of its {len(sizes)} numbers is of an object of the file")
-    return tuple(told)
 
 
 def _columns(rows: list[tuple[ElementSet, float, bool]]) -> Elements:

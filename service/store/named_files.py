@@ -13,7 +13,7 @@ from service.store.tables import jobs, uploads
 
 PREFIX = "upload:"
 ID = re.compile(r"[0-9a-f]{32}\.[a-z0-9]{1,8}")
-NO_FILES = "a number, or upload:ID of a file sent to /v1/files: no path or URL is taken"
+NO_FILES = "upload:ID of a file sent to /v1/files; no path or URL is taken"
 UNENDED = ("PENDING", "QUEUED", "EXECUTING")
 MOST_NAMED = 8
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -26,6 +26,7 @@ LARGEST_BYTES = 4_000_000_000
 LARGEST_TABLE_BYTES, MOST_ROWS = 256_000_000, 2_000_000
 LONGEST_LINE, LONGEST_OBJECT = 4096, 1 << 20
 BATCH = 16_384
+SIZES = ("norad_id", "diameter_m", "albedo")  # columns of a table of them
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,7 @@ def read_sizes(path: Path, field: str) -> dict[int, tuple[float | None, float | 
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             rows = csv.DictReader(stream)
-            _check_names(set(rows.fieldnames or ()), field)
+            _check_names(rows.fieldnames or (), field)
             for row in rows:
                 number, sizes = _size(row, f"{path.name}, line {rows.line_num}", field)
                 if number in out:
@@ -219,14 +220,16 @@ def read_sizes(path: Path, field: str) -> dict[int, tuple[float | None, float | 
     return out
 
 
-def _check_names(names: set[str], field: str) -> None:
-    if "norad_id" not in names or not names & {"diameter_m", "albedo"}:
-        shown = ", ".join(sorted(names)) or "nothing"
-        raise BadInput(field, shown, "columns norad_id and diameter_m, albedo or both")
+def _check_names(names: Sequence[str], field: str) -> None:
+    once = [name in names for name in SIZES]
+    if not once[0] or not any(once[1:]) or any(names.count(name) > 1 for name in SIZES):
+        shown = ", ".join(names) or "nothing"
+        allowed = "columns norad_id and diameter_m, albedo or both, each once"
+        raise BadInput(field, shown, allowed)
 
 
 def _size(row: JsonObject, where: str, field: str) -> tuple[int, tuple[float | None, float | None]]:
-    def number(key: str, low: float, high: float) -> float | None:
+    def number(key: str, lowest: float, highest: float, allowed: str) -> float | None:
         text = (row.get(key) or "").strip()
         if not text:
             return None
@@ -234,11 +237,12 @@ def _size(row: JsonObject, where: str, field: str) -> tuple[int, tuple[float | N
             value = float(text)
         except ValueError:
             value = float("nan")
-        if not low < value <= high:
-            raise BadInput(field, f"{where}: {key} = {text}", f"above {low:g}, up to {high:g}")
+        if not lowest <= value <= highest:
+            raise BadInput(field, f"{where}: {key} = {text}", allowed)
         return value
 
-    which = number("norad_id", -1.0, 1e9)
+    which = number("norad_id", 0.0, 1e9, "a whole number from 0 to 1e9")
     if which is None or which != int(which):
         raise BadInput(field, f"{where}: norad_id = {row.get('norad_id')}", "a whole number")
-    return int(which), (number("diameter_m", 0.0, 1e6), number("albedo", -1e-300, 1.0))
+    diameter_m = number("diameter_m", 5e-324, 1e6, "above 0, up to 1e6 [m]")
+    return int(which), (diameter_m, number("albedo", 0.0, 1.0, "from 0 to 1"))

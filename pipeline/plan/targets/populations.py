@@ -133,6 +133,32 @@ def _turn_rad_s(scene: Scene, dwell: DwellPlan, dut1_s: float) -> float:
 
 
 @dataclass
+class Unmet:
+    """What a population asks for that is of no object: rules and a table of sizes."""
+
+    population: Population
+    sizes: Sizes
+    names: list[str] = field(default_factory=list)
+    is_sized: bool = False
+
+    def see(self, sets: Iterable[Any]) -> None:
+        """Element sets of the population's file."""
+        for one in sets:
+            if self.population.rules:
+                self.names.append((one.name or "").lower())
+            self.is_sized |= one.number in self.sizes
+
+    def told(self) -> Iterator[str]:
+        """Rules that name none of them, and a table with none of their numbers."""
+        words = [rule.name_contains for rule in self.population.rules]
+        idle = [f"'{w}'" for w in words if not any(w.lower() in name for name in self.names)]
+        if idle:
+            yield f"rules: no object's name contains {', '.join(idle)}"
+        if self.population.sizes is not None and not self.is_sized:
+            yield f"sizes: none of its {len(self.sizes)} numbers is of an object of the file"
+
+
+@dataclass
 class Sieve:
     """What has been found in a population so far: a few numbers for each set, targets kept.
 
@@ -151,6 +177,9 @@ class Sieve:
     ages_s: list[Array] = field(default_factory=list)
     kept: list[tuple[int, Target]] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        self.unmet = Unmet(self.population, self.sizes)
+
     def take(self, sets: Iterable[Any]) -> None:
         """Look at a batch of element sets
         (`pipeline.inputs.targets.population_files.ElementSet`).
@@ -159,6 +188,7 @@ class Sieve:
         if not rows:
             return
         good = [one for _, one in rows]
+        self.unmet.see(good)
         satellites = [one.satellite for one in good]
         days = np.array([(s.jdsatepoch, s.jdsatepochF) for s in satellites])
         age = np.abs(elapsed_s(self.look.epoch, days[:, 0], days[:, 1]) - self.look.near_s)
@@ -237,6 +267,7 @@ class Sieve:
             elsewhere=int((nearest & ~counts).sum()),
             failed=tuple(sorted(self.failed.items())),
             left_out=tuple(self.told),
+            unmet=tuple(text[:400] for text in self.unmet.told()),
             half_angle_deg=float(np.degrees(look.half_angle_rad)),
             dwell_s=look.length_s,
         )
@@ -328,3 +359,4 @@ def _told(s: Screened, dwells: str) -> Iterator[str]:
     yield from (f"{n} omitted: {_meaning(code)}" for code, n in s.failed)
     if s.unreadable:
         yield f"{s.unreadable} omitted: not readable ({s.left_out[0]})"
+    yield from s.unmet

@@ -32,6 +32,7 @@ class Screened(Strict):
     elsewhere : sets of objects that another population has: nearer to the epoch, or named before
     unreadable : sets that are malformed; failed : pairs of SGP4's error code and how many sets end
     left_out : the first of the unreadable and the failed, by name and reason
+    unmet : rules that name no object of the file, a table of sizes with none of them
     """
 
     digest: str = Field(max_length=64, description="sha256 of the file")
@@ -42,6 +43,7 @@ class Screened(Strict):
     unreadable: Count
     failed: tuple[tuple[Count, Count], ...] = Field((), max_length=256)
     left_out: tuple[Annotated[str, Field(max_length=400)], ...] = Field((), max_length=MOST_TOLD)
+    unmet: tuple[Annotated[str, Field(max_length=400)], ...] = Field((), max_length=2)
     half_angle_deg: float = Field(
         ge=0, le=180, description="half angle of the cone about the boresight [deg]"
     )

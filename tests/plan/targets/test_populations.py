@@ -216,6 +216,19 @@ def test_sizes_by_rule_and_table(tle: Path, tmp_path: Path) -> None:
         assert one.diameter_m == (7.5 if name == names[0] else 5.0 if rocket else 0.1)
 
 
+def test_sizes_of_no_object_are_told(tle: Path, tmp_path: Path) -> None:
+    """By plan and product, as by studies; what meets one object is not."""
+    table = tmp_path / "sizes.csv"
+    table.write_text("norad_id,diameter_m\n999999,1\n999998,2\n")
+    rules = [{"name_contains": word, "diameter_m": 5.0} for word in ("r/b", "NOSUCH")]
+    made = prepare(scene(tle, population={"rules": rules, "sizes": str(table)})).plan
+    (found,) = [d.reason for d in made.decisions if d.component.startswith("populations.")]
+    assert "rules: no object's name contains 'NOSUCH'" in found
+    assert "sizes: none of its 2 numbers is of an object of the file" in found
+    made = prepare(scene(tle, population={"rules": rules[:1]})).plan
+    assert made.scene.populations[0].screened.unmet == ()
+
+
 def test_left_out_ones_are_told(lines: list[list[str]], tmp_path: Path) -> None:
     """Decayed elements with SGP4's code, malformed lines with what is wrong, older sets counted."""
     a = "1 99999U 98067A   19090.12345678  .00001000  00000-0  99999-1 0  999"
@@ -280,8 +293,10 @@ def test_bad_files(name: str, tmp_path: Path) -> None:
     ("text", "allowed"),
     [("", "columns norad_id"), ("norad_id\n1\n", "columns norad_id"),
      ("norad_id,diameter_m\n1,-2\n", "line 2"), ("norad_id,diameter_m\n1,nan\n", "line 2"),
-     ("norad_id,albedo\n1,0.1\n1,0.2\n", "once"), ("norad_id,albedo\n1.5,0.1\n", "whole number")],
-    ids=["empty", "columns", "negative", "nan", "twice", "number"],
+     ("norad_id,albedo\n1,0.1\n1,0.2\n", "once"), ("norad_id,albedo\n1.5,0.1\n", "whole number"),
+     ("norad_id,albedo,albedo\n1,0.1,0.2\n", "each once"),
+     ("norad_id,albedo\n1,1.2\n", "from 0 to 1"), ("norad_id,diameter_m\n1,0\n", "above 0")],
+    ids=["empty", "columns", "negative", "nan", "twice", "number", "doubled", "albedo", "point"],
 )  # fmt: skip
 def test_bad_sizes(text: str, allowed: str, tle: Path, tmp_path: Path) -> None:
     (tmp_path / "sizes.csv").write_text(text)
