@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from catalog_tools.engine.heap import one_heap
+from catalog_tools.engine.heap import few_collections, one_heap
 
 STARS, SHAPE, STREAK_PX = 100_000, 2048, 60.0
 RA_DEG, DEC_DEG, IFOV_ARCSEC = 80.0, 20.0, 2.0
@@ -151,6 +151,7 @@ def main() -> None:
     args = parser.parse_args()
     if args.case is not None:
         one_heap()  # as the command does
+        few_collections()
         print(json.dumps(measure(args.catalogue, *CASES[args.case])))
         return
     with tempfile.TemporaryDirectory() as folder:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from catalog_tools.engine.heap import one_heap
+from catalog_tools.engine.heap import few_collections, one_heap
 from pipeline.commands.lazy import lazy_group
 from pipeline.commands.table import COMMANDS
 from pipeline.errors import NO_ROOM, NightglassError, exit_code
@@ -37,6 +37,7 @@ def _common(
 def main() -> None:
     """Run the command line; every error is one message and an exit code."""
     one_heap()
+    few_collections()
     try:
         code = app(prog_name="nightglass", standalone_mode=False) or 0
         if code == 130:  # the library takes Ctrl-C for an exit

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import uvicorn
 
+from catalog_tools.engine.heap import few_collections
 from pipeline.errors import BadInput
 from service import logs
 from service.accounts.keys import any_key
@@ -53,7 +54,7 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
         print(f"Nightglass serves {scheme}://{shown}:{at} from {settings.home}", file=sys.stderr)
         sys.stderr.flush()
         gc.freeze()  # what is there now stays: collections need not look at it again
-        gc.set_threshold(20_000, 20, 20)
+        few_collections()
         uvicorn.Server(config).run(sockets=[listener])
 
 

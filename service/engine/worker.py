@@ -21,7 +21,7 @@ from typing import Any, BinaryIO
 
 from catalog_tools.catalogue import MANIFEST_NAME
 from catalog_tools.documents import JsonObject
-from catalog_tools.engine.heap import one_heap
+from catalog_tools.engine.heap import few_collections, one_heap
 from pipeline.errors import NO_ROOM, BadInput, Damaged, DiskFull, NightglassError, TryLater
 from service import logs
 from service.problems import cut, mistake_dict, mistakes_of
@@ -32,6 +32,7 @@ log = logging.getLogger("nightglass.engine")
 def main() -> None:
     """Read the order, do it, say how it went."""
     one_heap()
+    few_collections()
     answers = os.fdopen(os.dup(1), "wb", buffering=0)
     os.dup2(2, 1)  # whatever a library prints must not be taken for an answer
     line = sys.stdin.buffer.readline()
