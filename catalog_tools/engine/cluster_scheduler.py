@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import dataclass, is_dataclass
-from functools import cache
-from importlib.metadata import version
 from uuid import uuid4
 
 from distributed import Client, Future, as_completed, get_worker
@@ -18,6 +16,7 @@ from distributed.scheduler import KilledWorker
 
 from ..errors import Incomplete, NightglassError, TryLater
 from .ahead import AHEAD, Graph, Key, Progress, Tasks, Value, Work, outcome
+from .code import code_digest
 
 MOST_TRIES = 3  # of a task, on a cluster
 FEWEST_WAITING = 64  # tasks of a stream, so that a cluster that scales itself sees work
@@ -158,24 +157,19 @@ class Once:
 
 def _tried(task: Value, once: Once) -> Value:
     if type(task) is tuple and callable(task[0]):
-        return (_try, _version(), task[0], *map(once.pack, task[1:]))
+        return (_try, code_digest(), task[0], *map(once.pack, task[1:]))
     return task
-
-
-@cache
-def _version() -> str:
-    return version("nightglass")
 
 
 def _try(wanted: str, function: Callable[..., Value], *arguments: Value) -> Value:
     """Call it; what fails is tried again, but not what one of our messages explains.
 
-    wanted : the version that sent it; a worker that has another one refuses
+    wanted : digest of the code that sent it; a worker that has other code refuses
     """
-    if wanted != _version():
+    if wanted != code_digest():
         raise TryLater(
-            f"the worker {get_worker().address} has version {_version()} of nightglass, not "
-            f"{wanted}: start it anew with that version"
+            f"the worker {get_worker().address} runs other code of nightglass, numpy, scipy or "
+            "numba: start it anew with that of this process"
         )
     arguments = tuple(pickle.loads(a.data) if type(a) is Packed else a for a in arguments)
     for _ in range(MOST_TRIES - 1):

@@ -41,7 +41,6 @@ MOST_CPU_S = 24 * 3600.0
 STATE_CPU_S, PAIR_CPU_S, TASK_CPU_S = 0.8e-6, 0.05e-6, 0.05  # of this machine, with room
 SKY_CPU_S = 0.03  # of a table of the sky
 STRAY_CPU_S, STRAY_PAIR_CPU_S = 1.5e-3, 4e-6  # of stray light: a step of a batch, and of an object
-EDITION = 6  # of the numbers: one begun by another edition is not resumed
 CAMERA_KEYS = ("sensor", "exposure", "background")
 LOOKS, LOOK_STEPS = 500, 200  # directions and moments at which a field of regard is tried
 
@@ -141,7 +140,7 @@ def make_course(data: JsonObject, out: Path) -> StudyCourse:
     idle = [_idle(watcher, study.duration_h * 3600.0) for watcher in watchers]
     if all(idle) and idle[0] is not None:
         raise idle[0]
-    text = json.dumps([EDITION, study.as_dict(), files_digest(data)], sort_keys=True).encode()
+    text = json.dumps([study.as_dict(), files_digest(data)], sort_keys=True).encode()
     for column in fields(elements):
         values = np.ascontiguousarray(getattr(elements, column.name))
         text += hashlib.sha256(values.tobytes()).digest()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import fftconvolve
@@ -15,17 +17,20 @@ CLIPPED = 0.9865783925  # standard deviation of a unit Gaussian cut off at 3
 
 
 def robust_noise(image_e: Array, step_e: float = 0.0) -> tuple[float, float]:
-    """Median [e-] and standard deviation [e-] of an image's pixels, bright sources omitted.
+    """Mean [e-] and standard deviation [e-] of an image's pixels, bright sources omitted.
 
-    The deviation is that of the pixels within CLIP sigma of the median, made whole again for the
-    Gaussian tails omitted; sigma at first is the median deviation, or the digitiser's `step_e`
-    where that hides it. Sources that cover a small share of the pixels do not matter.
+    Both are those of the pixels within CLIP sigma of the median, the deviation made whole again for
+    the Gaussian tails omitted; sigma at first is the median deviation, or the digitiser's `step_e`
+    where that hides it. A mean, as the median of whole numbers is one of them. At least the step's
+    own rounding counts as noise, step / sqrt(12). Sources that cover a small share of the pixels do
+    not matter.
     """
-    middle = float(np.median(image_e))
-    away = np.abs(image_e - middle)
+    away = np.abs(image_e - np.median(image_e))
     first = max(SIGMA_OF_MAD * float(np.median(away)), step_e)
     near = image_e[away <= CLIP * first]
-    return middle, float(np.std(near)) / CLIPPED if near.size else 0.0
+    if not near.size:
+        return 0.0, 0.0
+    return float(near.mean()), max(float(near.std()) / CLIPPED, step_e / math.sqrt(12.0))
 
 
 def filtered(image_e: Array, response: Array, step_e: float = 0.0) -> Array:

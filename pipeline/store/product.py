@@ -15,6 +15,7 @@ from typing import Any
 from uuid import uuid4
 
 from catalog_tools.documents import JsonObject
+from catalog_tools.engine.code import code_digest
 from catalog_tools.storage.durable import file_digest, sync, sync_all
 from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.plan.plan import Plan
@@ -90,8 +91,21 @@ def check_free(path: Path, resume: bool) -> None:
 
 
 def is_begun(path: Path) -> bool:
-    """Whether a product was begun at a path; its writer's lock may then be taken."""
-    return (path / layout.BEGUN).is_file()
+    """Whether a product was begun at a path; its writer's lock may then be taken.
+
+    Sweeps and studies have a record of that name too, which says what it is of; one that cannot be
+    read is a product's.
+    """
+    try:
+        return _is_of_product(json.loads((path / layout.BEGUN).read_bytes()))
+    except OSError:
+        return False
+    except ValueError:
+        return True
+
+
+def _is_of_product(record: JsonObject) -> bool:
+    return str(record.get("format")).startswith(FORMAT.rpartition("/")[0])
 
 
 def make_together(path: Path, plan: Plan, catalogue_digest: str | None) -> None:
@@ -124,6 +138,7 @@ def identity_of(plan: Plan, catalogue_digest: str | None) -> JsonObject:
         "tile_shape": list(tile_shape(plan.scene)),
         "compression": plan.scene.output.compression,
         "tiles": len(plan.tiles) * plan.frames,
+        "code": code_digest(),
     }
 
 
@@ -160,6 +175,7 @@ CHANGED = {  # what may have changed since a product was begun, in the user's wo
     "format": "it was made by another version",
     "scene_sha256": "the scene, its --set, or where its files are has changed",
     "catalogue_digest": "the catalogue has changed",
+    "code": "it was begun by other code or libraries, whose bits may differ",
     "files_sha256": "a file that the scene names, or of NIGHTGLASS_DATA, has changed",
 }
 
@@ -202,11 +218,16 @@ def _identity(path: Path) -> JsonObject:
 
 
 def identity_in(content: bytes, place: str) -> JsonObject:
-    """What the record of a beginning says. Raises Damaged naming `place`."""
+    """What the record of a beginning says. Raises Damaged naming `place`.
+
+    BadInput where it is that of a sweep or a study.
+    """
     try:
         found = json.loads(content)
+        if not _is_of_product(found) and "tiles" not in found:
+            raise BadInput("PRODUCT", place, "a product of `nightglass render`, no sweep or study")
         return found | {"tiles": int(found["tiles"])}
-    except (ValueError, KeyError, TypeError, UnicodeDecodeError) as error:
+    except (AttributeError, ValueError, KeyError, TypeError) as error:
         raise Damaged(place, f"not what was written ({error})") from None
 
 

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject, JsonValue
+from catalog_tools.engine.code import code_digest
 from catalog_tools.storage.durable import file_digest, whole_file, write_atomically
 from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.spec.sweep import Sweep
@@ -177,8 +178,10 @@ def begin(out: Path, identity: JsonObject, resume: bool, what: str = "sweep") ->
     """Make the folder of a sweep (or a study), or take up one that was begun with the same.
 
     A folder without a record and without content is what a process leaves that was killed as it
-    began: `resume` begins it.
+    began: `resume` begins it. What other code or libraries began is not taken up, as its bits may
+    differ.
     """
+    identity = identity | {"code": code_digest()}
     if resume and not out.is_dir():
         raise BadInput("--resume", str(out), f"a {what} that was begun before")
     if not out.exists() or (resume and _is_bare_beginning(out)):
@@ -189,7 +192,8 @@ def begin(out: Path, identity: JsonObject, resume: bool, what: str = "sweep") ->
     begun = _begun(out, what)
     for key, wanted in identity.items():
         if not _as_begun(key, begun.get(key), wanted):
-            raise BadInput("--resume", str(out), f"a {what} of the same {key}")
+            told = " (it was begun by other code or libraries)" if key == "code" else ""
+            raise BadInput("--resume", str(out), f"a {what} of the same {key}{told}")
     if begun != identity:  # with files that were not there before
         write_atomically(out / BEGUN, json.dumps(identity, indent=2, sort_keys=True))
     (out / PARTS).mkdir(exist_ok=True)

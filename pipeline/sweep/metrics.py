@@ -15,7 +15,7 @@ from pipeline.execute.detector import tile_chain
 from pipeline.execute.light import draw_targets
 from pipeline.execute.outlook import clear_time_s, limiting_light_e, limiting_mag, target_snr
 from pipeline.execute.sources import FrameTarget, place_targets
-from pipeline.physics.detection import filtered, peak_near
+from pipeline.physics.detection import filtered, peak_near, robust_noise
 from pipeline.physics.noise.chain import calibrated_e
 from pipeline.plan.plan import Plan
 from pipeline.plan.sensor.detector import full_e
@@ -80,7 +80,8 @@ class Measurement:
         self._cells += [["dn", frame, *cell] for cell in cells]
         if "background" in self.metrics:
             light = self._calibrated(frame, tile, tile, dn, SAMPLED_PX)
-            self._backgrounds.append((float(np.median(light)), dn.size))
+            step_e = self.maps.typical("gain_e_per_dn")
+            self._backgrounds.append((robust_noise(light, step_e)[0], dn.size))
         for _, window in self._windows:
             part = overlap(window.place, tile)
             if part.rows and part.columns:

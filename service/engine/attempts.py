@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
+from catalog_tools.engine.code import code_digest
 from pipeline.store.layout import BEGUN, COMPLETE, LOCK
 from service.engine.cluster import SchedulerHealth
 from service.engine.processes import POLL_S, Answers, worker
@@ -131,8 +132,11 @@ class Attempt:
         return False
 
     def _order(self) -> JsonObject:
-        """What the worker is to do: go on with an unfinished product, or begin one."""
-        resume = (self._product / BEGUN).is_file()
+        """What the worker is to do: go on with an unfinished product, or begin one.
+
+        What other code began, before the service was upgraded, is begun anew.
+        """
+        resume = _begun_by(self._product / BEGUN) == code_digest()
         if self._product.exists() and not resume:
             shutil.rmtree(self._product)
         settings = self._settings
@@ -195,6 +199,15 @@ class Attempt:
 def fault(message: str) -> JsonObject:
     """An error of a job that is not its author's."""
     return {"kind": "fault", "message": message, "errors": []}
+
+
+def _begun_by(record: Path) -> str | None:
+    """The code that began a product, sweep or study; None where none was begun, or none says so."""
+    try:
+        begun: JsonObject = json.loads(record.read_bytes())
+    except (FileNotFoundError, ValueError):
+        return None
+    return begun.get("code")
 
 
 def bytes_of(folder: Path) -> int:

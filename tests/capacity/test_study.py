@@ -12,7 +12,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.capacity import course as of_study
 from pipeline.capacity import run
 from pipeline.capacity.candidates import find_candidates, path_of
 from pipeline.capacity.course import make_course
@@ -302,16 +301,6 @@ def test_resume_needs_the_same_study(data: Data, tmp_path: Path) -> None:
     data["seed"] = 9
     with pytest.raises(BadInput, match="a study of the same study"):
         run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous", resume=True))
-
-
-def test_resume_needs_the_same_edition_of_the_numbers(
-    data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What an earlier one computed otherwise is not mixed with what this one does."""
-    now = make_course(data, tmp_path).key
-    assert make_course(data, tmp_path).key == now
-    monkeypatch.setattr(of_study, "EDITION", of_study.EDITION - 1)
-    assert make_course(data, tmp_path).key != now
 
 
 def test_resume_needs_the_same_files(data: Data, tmp_path: Path) -> None:

@@ -59,6 +59,19 @@ def test_robust_noise_of_rounded_numbers(sigma):
     assert found == pytest.approx(np.std(image[4:]), rel=0.03)
 
 
+@pytest.mark.parametrize("step", [1.5, 4.0, 8.0, 12.0, 20.0])
+def test_a_coarse_converter_makes_no_detections(step):
+    """Of noise alone, 3.5 e- about 8.14: the median is a whole number, by up to half a step off."""
+    rng, peaks, off = np.random.default_rng(3), [], []
+    for _ in range(60):
+        image = step * np.rint(rng.normal(8.14, 3.5, (80, 80)) / step)
+        off.append(robust_noise(image, step)[0] - image.mean())
+        peaks.append(peak_near(filtered(image, RESPONSE, step), 33, 33, 4.0)[0])
+    assert abs(np.mean(off)) < 0.01
+    assert max(peaks) < 5.0
+    assert np.mean(peaks) == pytest.approx(1.65, abs=0.3)
+
+
 def test_limits_nothing_to_see():
     assert np.all(filtered(np.full((40, 40), 7.0), RESPONSE) == 0.0)
     assert np.all(filtered(np.random.default_rng(0).normal(size=(20, 20)), 0 * RESPONSE) == 0.0)

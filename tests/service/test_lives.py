@@ -14,6 +14,7 @@ import pytest
 from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
+from pipeline.store import layout
 from service.engine.attempts import Attempt
 from service.jobs.jobs import Phase, Queue
 from service.jobs.submissions import Ask, TeamLimits, submit_many
@@ -58,6 +59,25 @@ def test_tampered_tiles_are_drawn_again(
     assert done["phase"] == "COMPLETED", done
     alone = render(parse_scene(long_scene), tmp_path / "alone")
     assert done["content_digest"] == alone["content_digest"]
+
+
+def test_what_the_service_began_before_an_upgrade_is_begun_anew(
+    make_server: Callable[..., Any], long_scene: dict[str, Any]
+) -> None:
+    """Tiles of other code may have other bits: a killed job does not go on from them."""
+    server = make_server()
+    job = server.submit(long_scene)
+    server.until(job, lambda found: (found["tiles_done"] or 0) >= 2)
+    server.kill()
+    time.sleep(0.5)
+    product = server.home / "products" / job.rpartition("/")[2]
+    begun = product / layout.BEGUN
+    code = json.loads(begun.read_text())["code"]
+    begun.write_text(json.dumps(json.loads(begun.read_text()) | {"code": "0"}))
+    server.start()
+    assert server.ended(job)["phase"] == "COMPLETED"
+    assert json.loads((product / "report.json").read_text())["tiles_resumed"] == 0
+    assert json.loads(begun.read_text())["code"] == code
 
 
 def test_a_job_may_be_given_little_time_and_a_short_life(

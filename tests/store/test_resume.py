@@ -17,6 +17,7 @@ from pipeline.errors import BadInput, Damaged, Incomplete, TryLater
 from pipeline.route.run import Options, join, render
 from pipeline.route.shares import Share
 from pipeline.spec.load import PATH_FIELDS, parse_scene
+from pipeline.store import layout
 from pipeline.store.cube import open_cube
 from pipeline.store.layout import only_writer
 from pipeline.store.markers import read_marker
@@ -114,6 +115,44 @@ def test_another_catalogue_at_the_same_place_is_refused(starry, product):
     assert sorted(p.name for p in (product / "markers").iterdir()) == kept
     assert render(scene, product, AGAIN)["tiles_resumed"] == TILES - 1
     assert check(product).whole
+
+
+@pytest.mark.parametrize("record", [{"format": "nightglass/sweep-product/1"}, {"study": {}}])
+def test_a_sweep_or_study_is_never_taken_for_a_product(starry, tmp_path, record):
+    """Not replaced, which would remove all of its points; not resumed, not joined, not checked."""
+    place = tmp_path / "points"
+    place.mkdir()
+    (place / layout.BEGUN).write_text(json.dumps(record))
+    (place / "points.parquet").write_text("dear")
+    for work in (
+        lambda: render(starry[0], place, Options("synchronous", replace=True)),
+        lambda: render(starry[0], place, AGAIN),
+        lambda: render(starry[0], place, HERE, share=Share(2, 2)),
+        lambda: join(place),
+        lambda: check(place),
+    ):
+        with pytest.raises(BadInput, match="a product"):
+            work()
+    assert (place / "points.parquet").read_text() == "dear"
+
+
+def test_what_other_code_began_is_refused(starry, product):
+    """Its tiles may have other bits: a product of both would be no scene's."""
+    unfinished(product)
+    record = product / layout.BEGUN
+    begun = json.loads(record.read_text())
+    for other in ({"code": "0123456789abcdef"}, None):
+        known = {k: v for k, v in begun.items() if k != "code"} | (other or {})
+        record.write_text(json.dumps(known))
+        for work in (
+            lambda: render(starry[0], product, AGAIN),
+            lambda: render(starry[0], product, HERE, share=Share(2, 2)),
+            lambda: join(product),
+        ):
+            with pytest.raises(BadInput, match="same code"):
+                work()
+    record.write_text(json.dumps(begun))
+    assert render(starry[0], product, AGAIN)["tiles_resumed"] == TILES - 1
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from catalog_tools.engine.code import code_digest
 from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput
 from pipeline.execute.sources import place_targets
@@ -180,6 +181,11 @@ def test_another_sweep_is_not_gone_on_with(tmp_path):
     ledger.begin(tmp_path / "out", known, resume=True)
     with pytest.raises(BadInput, match="a sweep of the same scene"):
         ledger.begin(tmp_path / "out", known | {"scene": "c"}, resume=True)
+    for what in ("sweep", "study"):
+        record = tmp_path / "out" / ledger.BEGUN
+        record.write_text(json.dumps(json.loads(record.read_text()) | {"code": "0"}))
+        with pytest.raises(BadInput, match=f"a {what} of the same code"):
+            ledger.begin(tmp_path / "out", known, resume=True, what=what)
 
 
 def test_what_was_killed_before_its_record_was_whole_is_begun_again(tmp_path):
@@ -199,7 +205,7 @@ def test_what_was_killed_before_its_record_was_whole_is_begun_again(tmp_path):
         with pytest.raises(BadInput, match="does not exist yet"):
             ledger.begin(out, known, resume=False)
         ledger.begin(out, known, resume=True)
-        assert json.loads((out / ledger.BEGUN).read_text()) == known
+        assert json.loads((out / ledger.BEGUN).read_text()) == known | {"code": code_digest()}
     (out / ledger.BEGUN).rename(out / "another")
     with pytest.raises(BadInput, match="a sweep begun by"):
         ledger.begin(out, known, resume=True)

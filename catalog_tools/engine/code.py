@@ -1,0 +1,32 @@
+"""Which code runs: what bits follow from beside what is asked for."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+PACKAGES = ("catalog_tools", "pipeline")
+LIBRARIES = ("numpy", "scipy", "numba")
+
+
+@cache
+def code_digest() -> str:
+    """Digest of this installation's Python files that draw, and of its numerical libraries.
+
+    Two processes with the same one give the same bits on one kind of processor; a version's number
+    does not tell, as code changes between releases.
+    """
+    told = hashlib.sha256()
+    for package in PACKAGES:
+        spec = find_spec(package)
+        assert spec is not None
+        folder = Path(str(spec.origin)).parent
+        for path in sorted(folder.rglob("*.py")):
+            name = path.relative_to(folder.parent).as_posix()
+            told.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
+    for library in LIBRARIES:
+        told.update(version(library).encode() + b"\0")
+    return told.hexdigest()[:16]
