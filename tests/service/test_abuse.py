@@ -83,6 +83,14 @@ def test_200_mb_cost_nothing(hasty: Any, path: str, chunked: bool) -> None:
     assert hasty.client.get("/healthz").status_code == 200
 
 
+@pytest.mark.parametrize(("more", "status"), [(0, 201), (1, 413)])
+def test_a_file_of_the_most_bytes_is_taken_and_no_byte_more(
+    hasty: Any, more: int, status: int
+) -> None:
+    content = b"1\n" * (1 << 19) + b"1" * more
+    assert hasty.client.post("/v1/files?name=a.csv", content=content).status_code == status
+
+
 def test_200_mb_where_no_body_is_wanted(hasty: Any) -> None:
     with Growth(hasty) as growth:
         for method, path in (

@@ -108,6 +108,16 @@ def test_mistakes_come_by_field(client: Client, scene: dict[str, Any], tmp_path:
         Client("http://127.0.0.1:9", patience_s=3600.0).catalogues()  # never met: not for an hour
 
 
+def test_what_the_server_cannot_read_is_an_error(client: Client) -> None:
+    deep: Any = 1
+    for _ in range(40):
+        deep = [deep]
+    for ask in (client.submit, client.plan):
+        with pytest.raises(ServiceError, match="nested deeper") as error:
+            ask({"targets": deep})
+        assert error.value.status == 400
+
+
 def test_failed_and_cancelled_jobs_raise(client: Client, scene: dict[str, Any]) -> None:
     scene["sensor"]["shape"], scene["exposure"]["frames"] = [640, 640], 50
     job = client.submit(scene)
@@ -174,8 +184,9 @@ def test_a_server_that_is_not_there_may_be_later(tmp_path: Path) -> None:
         (("render", "SCENE", "-o", "OUT", "--resume"), "without --resume"),
         (("render", "SCENE", "-o", "OUT", "--set", "sensor.shape=[0,1]"), "sensor.shape"),
         (("render", "SCENE", "-o", "."), "a path that does not exist yet"),
+        (("plan", "SCENE", "--set", "sensor.shape=[0,1]"), "sensor.shape"),
     ],
-    ids=("no-job", "no-id", "resume", "bad-shape", "output-there"),
+    ids=("no-job", "no-id", "resume", "bad-shape", "output-there", "plan-bad-shape"),
 )
 def test_command_line_mistakes(
     server: Any, scene: dict[str, Any], tmp_path: Path, words: tuple[str, ...], said: str
