@@ -187,6 +187,29 @@ def test_each_star_once(reference, folders, tmp_path):
     assert 0 < report["layers"][0]["left_out"] <= (main["phot_g_mean_mag"] < 8).sum()
 
 
+def test_a_fast_star_of_a_layer_is_found_where_it_now_is(folders, tmp_path):
+    """At 20 arcsec a year it is 571 from where its catalogue, of 28.55 years ago, has it."""
+    off_deg = (2019.8 - LAYER_JYEAR) * 20.0 / 3600.0
+    layer = {"source_id": 7, "ra": 101.0, "dec": 30.0 - off_deg, "pmra": 0.0, "pmdec": 2e4,
+             "phot_g_mean_mag": 5.0}  # fmt: skip
+    make(tmp_path / "fast", {k: np.array([v]) for k, v in layer.items()}, LAYER_JYEAR)
+    scene = scene_of(
+        [str(folders["main"]), str(tmp_path / "fast")],
+        sensor={
+            "shape": [64, 64],
+            "focal_length_m": 2.5,
+            "psf": {"kind": "gaussian", "sigma_px": 1.0},
+        },
+        pointing={"rate_ra_arcsec_s": 0.0, "rate_dec_arcsec_s": 0.0},
+        exposure={"frames": 1},
+    )
+    render(scene, tmp_path / "run", Options("synchronous"))
+    truth = truth_of(tmp_path / "run")
+    fast = truth["catalogue"] == 1
+    assert truth["source_id"][fast].tolist() == [7]
+    assert light_of(tmp_path / "run").sum() >= truth["electrons"][fast].sum() * 0.99 > 1e4
+
+
 def test_stars_of_both_are_counted_once(layered, reference):
     """As many as the truth of the fullest frame has."""
     _, many = np.unique(truth_of(reference[0])["frame"], return_counts=True)

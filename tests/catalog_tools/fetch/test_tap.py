@@ -122,6 +122,22 @@ def test_a_service_that_loses_rows_is_not_believed(service, tmp_path, hasty):
     assert not list(tmp_path.glob("*.csv.gz"))
 
 
+def test_rows_that_come_while_a_cone_is_fetched_are_not_taken(
+    service, tmp_path, hasty, monkeypatch
+):
+    """The count of the whole cone is that before; its two halves have a row more."""
+    count = tap.Question.count
+    monkeypatch.setattr(tap, "ROWS_AT_ONCE", 150)
+    monkeypatch.setattr(
+        tap.Question, "count", lambda q, band: count(q, band) - (band == tap.DeclinationBand())
+    )
+    with pytest.raises(Incomplete, match=r"(\d+) rows came where COUNT\(\*\) says") as told:
+        ask(service, tmp_path, hasty)
+    came, counted = re.search(r"(\d+) rows came .* says (\d+)$", str(told.value)).groups()
+    assert int(came) == int(counted) + 1
+    assert not list(tmp_path.glob("*.csv.gz"))
+
+
 def test_failures_that_pass(service, sky, tmp_path, hasty):
     service.does.first = [(503, {"Retry-After": "0"}), (429, {"Retry-After": "0"})]
     service.does.sync_fails = 1
