@@ -141,6 +141,14 @@ def test_the_oldest_elements_of_many_are_told(order: int) -> None:
     scene = parse_scene(SCENE | {"targets": each, "pointing": held})
     (told,) = oldest_remarks(scene, 0.0, 2.1)
     assert told.startswith("3 of the targets have old elements, the worst of-day-19001: ")
+    means = {
+        "epoch": "2018-12-01T00:00:00Z", "mean_motion_rev_day": 15.0, "eccentricity": 0.001,
+        "inclination_deg": 50, "raan_deg": 0, "argument_of_perigee_deg": 0, "mean_anomaly_deg": 0,
+    }  # fmt: skip
+    omm = target({"kind": "omm", "elements": means}, name="omm")
+    scene = parse_scene(SCENE | {"targets": [*each, omm], "pointing": held})
+    (told,) = oldest_remarks(scene, 0.0, 2.1)
+    assert told.startswith("4 of the targets have old elements, the worst omm: ")
 
 
 def test_an_orbit_beyond_the_earths_reach_is_told():
@@ -408,17 +416,21 @@ def test_a_shape_drawn_as_a_point_is_as_large_as_it_comes_near() -> None:
 
 
 def test_light_between_matt_facets() -> None:
-    """The largest albedo of body and parts, a / (1 - a); no bound of a body that has a gloss."""
+    """The largest albedo of bodies and parts, a / (1 - a); no bound of one that has a gloss."""
     gloss = {"kind": "phong", "diffuse": 0.1, "specular": 0.1, "exponent": 10}
 
-    def bound(**surface: Any) -> float | None:
+    def made(surface: dict[str, Any]) -> Target:
         part = {"name": "p", "objects": ["P"], "materials": {"a": surface}}
         body = {"kind": "mesh", "path": "a.obj", "unit": "m", "parts": [part],
                 "surface": {"kind": "lambert", "albedo": 0.2}}  # fmt: skip
-        ball = target(state(*OBSERVER)) | {"body": body}
-        return between_facets([Target.model_validate(ball)]).bound
+        return Target.model_validate(target(state(*OBSERVER)) | {"body": body})
+
+    def bound(**surface: Any) -> float | None:
+        return between_facets([made(surface)]).bound
 
     assert bound(kind="lambert", albedo=0.6) == pytest.approx(1.5)
     assert bound(kind="lambert", albedo=0.1) == pytest.approx(0.25)
     assert bound(kind="lambert", albedo=1.0) is None
     assert bound(**gloss) is None
+    many = [made({"kind": "lambert", "albedo": a}) for a in (0.1, 0.8, 0.5)]
+    assert between_facets(many).bound == pytest.approx(4.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -211,6 +212,9 @@ def test_what_is_too_fast_to_be_looked_at_is_told() -> None:
         assert bool(said) == told
         assert (light_off(made, g, near) == 1.0) == told
     assert "every 0.00045 s in an exposure of 4 s (frame 0), which is looked at every" in said[0]
+    many = scene(spinning, exposure={"integration_s": 4.0, "frames": 8}, accept=["error"])
+    (later,) = hurried_remarks(many, replace(g, frame=np.array([7])), near)
+    assert "(frame 7)" in later
     plan = plan_scene(made)
     assert plan["remarks"].count(said[0]) == 1
     rules = {d["component"]: d for d in plan["decisions"]}

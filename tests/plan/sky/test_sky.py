@@ -369,14 +369,16 @@ def test_an_eclipsed_moon_gives_no_moonlight():
         assert low <= share <= high
 
 
-def test_darkest_place_is_told_of_the_shortest_exposure(scene):
+@pytest.mark.parametrize("zodiacal", [False, True])
+def test_darkest_place_is_told_of_the_shortest_exposure(scene, zodiacal):
     """Its electrons, and the noise of them: with 30 and 2 s, those of 2 s."""
-    sky_e_s = {"background": {"uniform_e_per_s": 3.0, "starlight": "none"}}
+    light = {"uniform_e_per_s": 3.0, "zodiacal": zodiacal, "starlight": "none"}
     dwells = {"dwells": [{"frames": 2, "integration_s": [30.0, 2.0]}]}
-    s, facts, sky, _ = planned(scene, sky_e_s | dwells)
-    told = facts_with_sky(facts, s, sky)
-    assert told.background_e == pytest.approx(6.0)
-    assert told.sigma_floor_e**2 == pytest.approx(6.0 + facts.read_noise_e**2 + 1 / 12)
+    s, facts, sky, _ = planned(scene, {"background": light} | dwells)
+    assert (sky.least_e_s > 3.01) == zodiacal
+    told, sky_e = facts_with_sky(facts, s, sky), 2.0 * sky.least_e_s
+    assert told.background_e == pytest.approx(sky_e)
+    assert told.sigma_floor_e**2 == pytest.approx(sky_e + facts.read_noise_e**2 + 1 / 12)
 
 
 @pytest.mark.parametrize("odd", [7.0, 13.0])

@@ -274,6 +274,16 @@ def test_a_moon_whose_light_is_not_asked_for(sky: dict[str, Any] | None, silent:
             assert 17.0 < float(said[0].split("V = ")[1].split()[0]) < 20.5
 
 
+def test_moonlight_is_told_of_the_frame_where_the_moon_is_highest() -> None:
+    """Below the horizon in the first of three frames, five hours apart at most, up in the last."""
+    air = {"observer": SITE | {"atmosphere": {"extinction": {"mag_per_airmass": 0.2}}},
+           "pointing": {"mode": "local", "azimuth_deg": 0.0, "elevation_deg": 80.0},
+           "exposure": {"integration_s": 1.0, "frames": 3, "cadence_s": 9000.0}}  # fmt: skip
+    found = doubts(scene_of(air, {"epoch": "2019-04-27T09:00:00Z"}))
+    (said,) = [one for one in found.warnings if "moonlight" in one]
+    assert "(frame 2)" in said
+
+
 def test_the_sunlit_earth_in_the_field_or_beside_it() -> None:
     """From 42,164 km the limb is asin(6378.137 / 42164) from the middle; a frame half a degree
     and more beside it has a note, and one far away none."""
