@@ -98,6 +98,7 @@ def test_cdelt_and_scamp(tmp_path):
         (b"SIMPLE  =                    T" + b" " * 2850, "END card"),
         (BASE, "SIP"),
         (SIP | {"A_ORDER": 10}, "order 9"),
+        (SIP | {"B_ORDER": 10}, "order 9"),
         (SIP | {"A_2_0": "much"}, "numbers"),
         (SIP | {"CPDIS1": "LOOKUP"}, "lookup"),
         (TPV | {"PV1_4": 1e200}, "less than or equal"),

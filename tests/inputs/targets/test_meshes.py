@@ -155,6 +155,17 @@ def test_objects_of_the_bodys_file_may_move(tmp_path):
         gather_mesh(body(path, parts=[{"name": "p", "objects": ["Dish"]}]))
 
 
+def test_a_sheet_on_a_closed_body_is_hidden_by_it(tmp_path):
+    """A label on one face, bright on both sides: from behind the body only the body is seen."""
+    path = write(tmp_path, CUBE + SHEET.replace("2 0 0", ".2 .2 1").replace("3 0 0", ".8 .2 1")
+                 .replace("3 1 0", ".8 .8 1").replace("2 1 0", ".2 .8 1"))  # fmt: skip
+    label = {"kind": "lambert", "albedo": 0.9, "two_sided": True}
+    model = gather_mesh(body(path, materials={"cell": label}))
+    below = np.array([[0.0, 0.0, -1.0]])
+    light, _ = model_light(model, below, below, np.zeros(1))
+    assert light[0] == pytest.approx(0.5 / np.pi)
+
+
 @pytest.mark.parametrize("rate_deg_s", [6.0, -6.0])
 def test_a_part_that_turns_either_way_turns_the_body(tmp_path, rate_deg_s):
     """12 degrees in two seconds, which a picture of the middle does not show."""

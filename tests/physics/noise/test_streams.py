@@ -176,7 +176,8 @@ def test_same_draws_in_every_rectangle() -> None:
         assert (poisson_image(part, 100 + y0, 200 + x0, 5, *key) == whole[y0:y1, x0:x1]).all()
         rest = standard_normals(y1 - y0, x1 - x0, 100 + y0, 200 + x0, 5, *key)
         assert (rest == normals[y0:y1, x0:x1]).all()
-    assert whole[4, 7] == poisson(mean[4, 7], 207, 104, 5, *key)
+    row = [poisson(m, 200 + x, 104, 5, *key) for x, m in enumerate(mean[4])]
+    assert np.array_equal(whole[4], row)  # as a number by itself, which cosmic rays take
 
 
 def test_same_draws_elsewhere_when_one_pixel_changes() -> None:
