@@ -227,6 +227,14 @@ def test_a_calibrated_product_opens_too(made, tmp_path):
     assert product.truth["targets"].equals(made.truth["targets"])
 
 
+def test_each_wish_of_a_search_is_passed_on():
+    scene, wish = ROOT / "examples" / "population.yaml", {"at": "2019-04-20T09:00:00Z"}
+    many = wish | {"hours": 72.0, "step_s": 1.0, "least_snr": 2.0}
+    refused(nightglass.BadInput, "--step: 1.0 ", nightglass.find, scene, **many)
+    found = nightglass.find(scene, **wish, hours=0.1, step_s=60.0, least_snr=1e12)
+    assert (found.objects, found.end) == ([], "2019-04-20T09:06:00Z")
+
+
 def test_a_cone_of_stars(stars):
     catalogue = nightglass.open_catalogue(str(stars))
     assert catalogue.facts["rows"] == 3

@@ -154,12 +154,16 @@ def test_the_check_finds_an_error_made_on_purpose(catalogue, tmp_path, monkeypat
     _, honest = stars_of(made, tmp_path / "honest")
     draw = pipeline.execute.tile.draw_stars
     monkeypatch.setattr(pipeline.execute.tile, "draw_stars", lambda *a: 1.02 * draw(*a))
-    _, wrong = stars_of(made, tmp_path / "wrong")
+    drawn, wrong = stars_of(made, tmp_path / "wrong")
     good, bad = honest["errors"], wrong["errors"]
     brightest = max(c["brightest_pixel_e"] for c in bad["checked"])
     assert bad["achieved_error_e"] == pytest.approx(0.02 * brightest, rel=0.05)
     assert good["achieved_error_e"] < 0.05 * bad["achieved_error_e"]
     assert 3 <= good["windows"] <= 6  # one or two of each cell
+    for c in bad["checked"]:
+        rows, columns = slice(c["y0"], c["y0"] + c["rows"]), slice(c["x0"], c["x0"] + c["columns"])
+        rms = 0.02 / 1.02 * np.sqrt(np.mean(drawn[rows, columns] ** 2))
+        assert c["error_rms_e"] == pytest.approx(rms, rel=0.05)
 
 
 def test_no_check_where_none_is_asked_for(catalogue, tmp_path):
