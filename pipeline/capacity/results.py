@@ -162,7 +162,7 @@ def _sensors(
         "sensor": [f"{w.name}-{k}" for w, k in zip(watchers, number, strict=True)],
         "open_h": open_h[course.units],
         "busy_h": busy_h,
-        "used_fraction": busy_h / np.maximum(open_h[course.units], 1e-9),
+        "used_fraction": np.minimum(busy_h / np.maximum(open_h[course.units], 1e-9), 1.0),
         "observations": counts[0],
         "detections": counts[1],
         "zenith_sky_e_s_px": [w.resolved.facts.background_e_s for w in watchers],

@@ -76,7 +76,9 @@ def _print(observed: Observed) -> None:
     if total > MOST_LINES:
         print(fold("of each target its best time, the best seen first; -o FILE has all rows"))
     days = len({row["utc"][:10] for row in lines}) > 1
-    print(table(HEADS, [_cells(row, days) for row in lines[:MOST_LINES]], 3))
+    parts = any(row["utc"][19:].strip(".0Z") for row in lines)
+    shown = slice(5 if days else 11, 21 if parts and not days else 19)
+    print(table(HEADS, [_cells(row, shown) for row in lines[:MOST_LINES]], 3))
     if len(lines) > MOST_LINES:
         print(f"and {len(lines) - MOST_LINES} more targets")
     for note in observed.notes[-MOST_NOTES:]:
@@ -95,14 +97,17 @@ def _best(observed: Observed) -> list[JsonObject]:
     return list(seen.take(sorted(first.values())).to_pylist())
 
 
-def _cells(row: JsonObject, days: bool) -> list[str]:
-    """A row of the table: azimuth and elevation at a site, RA and Dec in space."""
+def _cells(row: JsonObject, shown: slice) -> list[str]:
+    """A row of the table: azimuth and elevation at a site, RA and Dec in space.
+
+    shown : which part of the time: days or tenths of seconds where rows differ by them
+    """
     up, mag, snr = row["elevation_deg"], row["v_mag"], row["snr"]
     here = (row["azimuth_deg"], up) if up == up else (row["ra_deg"], row["dec_deg"])
     return [
-        row["object_name"][: 12 if days else 14],
+        row["object_name"][: 12 if shown.start == 5 else 14],
         row["seen"],
-        row["utc"][5:16].replace("T", " ") if days else row["utc"][11:19],
+        row["utc"][shown].replace("T", " "),
         *(f"{v:.1f}" for v in here),
         f"{row['range_m'] / 1e3:.0f}",
         f"{mag:.1f}" if mag == mag else "-",

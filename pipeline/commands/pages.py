@@ -123,7 +123,7 @@ def _answer(plan: JsonObject) -> Iterator[tuple[str, str]]:
     needs, out = plan["predicted"], plan["outlook"]
     yield "frames", f"{plan['frames']} of {plan['shape'][0]} x {plan['shape'][1]} px"
     field = plan["field_deg"]
-    yield "field", f"{field[1]:.4g} x {field[0]:.4g} deg, {plan['ifov_arcsec']:.3g} arcsec a pixel"
+    yield "field", f"{field[0]:.4g} x {field[1]:.4g} deg, {plan['ifov_arcsec']:.3g} arcsec a pixel"
     looked = len(out["looked_at"])
     where = "" if looked == plan["frames"] else f" (by {looked} of the frames)"
     few = "; the brightest" if out["in_view"] > MOST_TARGETS else ""
@@ -233,7 +233,7 @@ def _facts(found: JsonObject) -> dict[str, str]:
     return {
         "scene": f"{found['scene']}, {found['epoch']}, seed {found['seed']}",
         "state": f"{found['state']}, {found['tiles']} of {found['tiles_expected']} tiles",
-        "frames": f"{found['frames']} of {rows} x {columns} px, {size[1]:.4g} x {size[0]:.4g} deg",
+        "frames": f"{found['frames']} of {rows} x {columns} px, {size[0]:.4g} x {size[1]:.4g} deg",
         "layers": ", ".join(found["layers"] or ()),
         "targets": str(found["targets"]),
         "stars": f"from {found['catalogue']}" if found["catalogue"] else "none",

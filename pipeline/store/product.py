@@ -97,15 +97,16 @@ def is_begun(path: Path) -> bool:
     read is a product's.
     """
     try:
-        return _is_of_product(json.loads((path / layout.BEGUN).read_bytes()))
+        return not _is_of_another(json.loads((path / layout.BEGUN).read_bytes()))
     except OSError:
         return False
     except ValueError:
         return True
 
 
-def _is_of_product(record: JsonObject) -> bool:
-    return str(record.get("format")).startswith(FORMAT.rpartition("/")[0])
+def _is_of_another(record: JsonObject) -> bool:
+    """Whether a record is that of a sweep or of a study."""
+    return not {"axes", "study"}.isdisjoint(record)
 
 
 def make_together(path: Path, plan: Plan, catalogue_digest: str | None) -> None:
@@ -224,10 +225,10 @@ def identity_in(content: bytes, place: str) -> JsonObject:
     """
     try:
         found = json.loads(content)
-        if not _is_of_product(found) and "tiles" not in found:
+        if _is_of_another(found):
             raise BadInput("PRODUCT", place, "a product of `nightglass render`, no sweep or study")
         return found | {"tiles": int(found["tiles"])}
-    except (AttributeError, ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise Damaged(place, f"not what was written ({error})") from None
 
 

@@ -12,11 +12,13 @@ from pipeline.errors import BadInput
 
 
 def check_ending(path: Path, endings: Sequence[str]) -> None:
-    """BadInput for a file of no known form, before anything is worked out."""
+    """BadInput for a file of no known form, or one that exists, before anything is worked out."""
     if path.suffix.lower() not in endings:
         raise BadInput("-o", path.name, f"a name that ends in {', '.join(endings)}")
     if not path.parent.is_dir():
         raise BadInput("-o", str(path), "a file in a folder that exists")
+    if path.exists():
+        raise BadInput("-o", str(path), "a path that does not exist yet")
 
 
 def without_nan(table: pa.Table) -> pa.Table:

@@ -102,6 +102,9 @@ def test_a_message_with_noise(tmp_path: Path) -> None:
     told = f"sigma {min(sigma):.4g} to {max(sigma):.4g} arcsec"
     assert f"COMMENT Angles with the noise of centroids, {told}" in lines
     assert [r["object_name"] for r in rows if r["name"] == "ball"] == ["A BALL"] * 3
+    assert nightglass(*asked).returncode == 2  # a path that exists
+    assert path.read_text().splitlines() == lines
+    path.unlink()
     other = json.loads(nightglass(*asked[:3], "8", *asked[4:]).stdout)["rows"]
     assert other[0]["ra_measured_deg"] != rows[0]["ra_measured_deg"]
 

@@ -117,7 +117,7 @@ def test_another_catalogue_at_the_same_place_is_refused(starry, product):
     assert check(product).whole
 
 
-@pytest.mark.parametrize("record", [{"format": "nightglass/sweep-product/1"}, {"study": {}}])
+@pytest.mark.parametrize("record", [{"axes": "0123"}, {"study": {}}])
 def test_a_sweep_or_study_is_never_taken_for_a_product(starry, tmp_path, record):
     """Not replaced, which would remove all of its points; not resumed, not joined, not checked."""
     place = tmp_path / "points"

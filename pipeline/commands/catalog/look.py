@@ -69,7 +69,8 @@ def cone(
         opened = open_catalogue(catalogue)
         rows, report = query.cone(opened, ra_deg, dec_deg, radius_deg, faintest_g_mag, epoch_jyear)
     _write_table(rows, output)
-    print(f"{rows.num_rows} stars; {report}", file=sys.stderr)
+    looked = f"{report.rows_read} rows in {report.leaves} shard(s)"
+    print(f"{rows.num_rows} stars of {looked} ({report.bytes_read / 1e6:.3g} MB)", file=sys.stderr)
     if not corners:
         _note_coverage(opened, centre)
 
