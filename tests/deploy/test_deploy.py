@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,15 @@ def test_dockerfile_copies_what_the_context_holds():
         for name in line.split()[:-1]:
             assert (ROOT / name).exists(), name
             assert f"!{name}" in ignored
+
+
+def test_the_image_has_what_its_settings_can_ask_for():
+    """A job table in PostgreSQL, catalogues and products in S3, meshes: its root is read-only."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    pinned = {line.split("==")[0] for line in (ROOT / "requirements.lock").read_text().splitlines()}
+    for extra in ("mesh", "postgresql", "remote"):
+        for wanted in project["optional-dependencies"][extra]:
+            assert re.split(r"[\[><=]", wanted)[0] in pinned, wanted
 
 
 def test_compose():
