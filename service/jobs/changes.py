@@ -24,8 +24,8 @@ class Changes:
         self._waiting: dict[str, set[tuple[int, asyncio.Event]]] = defaultdict(set)
         self._looking: asyncio.Task[None] | None = None
 
-    async def after(self, job_id: str, version: int, limit_s: float) -> None:
-        """Return when a job's version is another than this one, it is gone, or time is up.
+    async def after(self, job_id: str, version: int, limit_s: float) -> bool:
+        """True when a job's version is another than this one or it is gone, False when time is up.
 
         The caller holds one of the `places`.
         """
@@ -43,6 +43,7 @@ class Changes:
             self._waiting[job_id].discard(place)
             if not self._waiting[job_id]:
                 del self._waiting[job_id]
+        return event.is_set()
 
     async def _look(self) -> None:
         while self._waiting:

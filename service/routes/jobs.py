@@ -20,7 +20,7 @@ from service.http.bodies import JSON, TEXTS, media_type, read_body
 from service.http.gate import allow_time
 from service.jobs.jobs import FINAL, Job, Phase
 from service.jobs.views import etag, job_dict
-from service.problems import Malformed, NotThere
+from service.problems import Malformed, NotThere, TooMany, Unauthenticated
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 KEY = re.compile(r"[\x21-\x7e]{1,255}")
@@ -118,7 +118,7 @@ async def watch(
     if wait_s and etag(job) == known and job.phase not in FINAL:
         allow_time(request, wait_s + service.settings.answer_s)
         with service.changes.places.taken(service.caller.team):
-            await service.changes.after(job_id, job.version, wait_s)
+            await service.change(job, wait_s)
         job = await run_in_threadpool(service.store.get, job_id)
     headers = {"ETag": etag(job)}
     if job.phase not in FINAL:
@@ -163,7 +163,7 @@ def delete(service: Service, job_id: str) -> Response:
 async def events(
     service: Service, job_id: str, last_event_id: Annotated[str | None, Header()] = None
 ) -> Response:
-    """Server-sent events: the job at every change (id: its version), until it has ended."""
+    """Server-sent events: the job at every change (id: its version), until it or the key ends."""
     job = await run_in_threadpool(service.store.get, job_id)
     return Watch(service, _events(service, job, last_event_id))
 
@@ -194,11 +194,13 @@ async def _events(service: Context, job: Job, last_event_id: str | None) -> Asyn
             yield f"id: {sent}\nevent: job\ndata: {json.dumps(job_dict(job))}\n\n"
         if job.phase in FINAL:
             return
-        await service.changes.after(job.id, job.version, service.settings.heartbeat_s)
         try:
+            await service.change(job, service.settings.heartbeat_s)
             job = await run_in_threadpool(service.store.get, job.id)
         except NotThere:
             yield "event: deleted\ndata: {}\n\n"
+            return
+        except (Unauthenticated, TooMany):
             return
         if str(job.version) == sent:
             yield ": heartbeat\n\n"

@@ -280,7 +280,7 @@ async def _wait(request: Request, service: Context, job: Job, phase: Phase, wait
         if left <= 0:
             break
         with service.changes.places.taken(service.caller.team):
-            await service.changes.after(job.id, job.version, left)
+            await service.change(job, left)
         job = await run_in_threadpool(service.store.get, job.id)
         await asyncio.sleep(0)
     return job

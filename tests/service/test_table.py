@@ -100,8 +100,8 @@ def test_events_of_every_version(database: str) -> None:
         else:
             store.delete(job.id, "red", "x")
 
-    changes, timing = SimpleNamespace(after=after), SimpleNamespace(heartbeat_s=1.0)
-    service: Any = SimpleNamespace(store=store, changes=changes, settings=timing)
+    timing = SimpleNamespace(heartbeat_s=1.0)
+    service: Any = SimpleNamespace(store=store, change=after, settings=timing)
 
     async def listen() -> str:
         text = ""

@@ -29,15 +29,13 @@ class Waited:
         self.waits: list[float] = []
         self.until: list[float] = []
         self.settings = SimpleNamespace(answer_s=ANSWER_S, wait_s=500.0, dashboard=None)
-        self.changes = SimpleNamespace(
-            places=SimpleNamespace(taken=lambda team: nullcontext()), after=self._after
-        )
+        self.changes = SimpleNamespace(places=SimpleNamespace(taken=lambda team: nullcontext()))
         self.caller, self.store = SimpleNamespace(team="red"), SimpleNamespace(get=self._get)
         deadline = SimpleNamespace(reschedule=self.until.append)
         self.request: Any = SimpleNamespace(scope={DEADLINE: deadline})
 
-    async def _after(self, job_id: str, version: int, left_s: float) -> None:
-        assert (job_id, version) == (self.jobs[0].id, self.jobs[0].version)
+    async def change(self, job: Any, left_s: float) -> None:
+        assert (job.id, job.version) == (self.jobs[0].id, self.jobs[0].version)
         self.waits.append(left_s)
         del self.jobs[0]
 

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -260,13 +261,26 @@ def test_no_route_shows_or_touches_another_teams_job(guarded: Any, scene: dict[s
     assert file_id in guarded.client.get("/v1/files", headers=red).text
 
 
-def test_a_revoked_key_stops_working(guarded: Any) -> None:
-    assert guarded.client.get("/v1/jobs", headers=bearer(guarded.spare)).status_code == 200
-    revoke_key(guarded.engine, guarded.spare)
-    deadline = time.monotonic() + 10
-    while guarded.client.get("/v1/jobs", headers=bearer(guarded.spare)).status_code != 401:
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+def test_a_revoked_key_stops_working(guarded: Any, scene: dict[str, Any]) -> None:
+    """New requests, and those that wait for changes of a job: by the key, and by its ticket."""
+    get, spare = guarded.client.get, bearer(guarded.spare)
+    made = guarded.client.post("/uws/async", data={"SCENE": json.dumps(scene)}, headers=spare)
+    job = f"/v1/jobs/{made.headers['location'].rpartition('/')[2]}"  # it waits to be started
+    ask = guarded.client.post("/v1/tickets", json={"path": f"{job}/events"}, headers=spare)
+    ticket = ask.json()["href"]
+    with ThreadPoolExecutor() as pool:
+        streams = [pool.submit(get, f"{job}/events", headers=spare), pool.submit(get, ticket)]
+        poll = pool.submit(get, job, params={"wait": 20}, headers=spare)
+        time.sleep(0.7)
+        assert not any(asked.done() for asked in (*streams, poll))
+        revoke_key(guarded.engine, guarded.spare)
+        revoked = time.monotonic()
+        for stream in streams:
+            assert "event: job" in stream.result().text
+        assert poll.result().status_code == 401
+    assert get("/v1/jobs", headers=spare).status_code == 401
+    assert get(ticket).status_code == 401
+    assert time.monotonic() - revoked < 4.0  # two seconds on a quiet machine
 
 
 def test_secrets_are_nowhere(guarded: Any) -> None:
