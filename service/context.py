@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Awaitable, Callable
 from copy import copy
@@ -65,9 +66,9 @@ class Context:
 
     async def change(self, job: Job, limit_s: float) -> None:
         """Return when a job has changed, or time is up. Unauthenticated once the key is revoked."""
-        until_s = time.monotonic() + limit_s
-        changed = False
-        while not changed and (left_s := until_s - time.monotonic()) > 0.0:
+        clock, changed = asyncio.get_running_loop().time, False
+        until_s = clock() + limit_s
+        while not changed and (left_s := until_s - clock()) > 0.0:
             changed = await self.changes.after(job.id, job.version, min(left_s, FRESH_S))
             await self.identify()
 

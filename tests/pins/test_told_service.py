@@ -671,7 +671,12 @@ async def events_told(house: Any, job_id: str) -> list[str]:
     from service.routes.jobs import _events
 
     table, settings = house.table, SimpleNamespace(heartbeat_s=0.01)
-    context = SimpleNamespace(store=table, settings=settings, changes=Changes(table, 2))
+    changes = Changes(table, 2)
+
+    def change(job: Any, limit_s: float) -> Any:
+        return changes.after(job.id, job.version, limit_s)
+
+    context = SimpleNamespace(store=table, settings=settings, change=change)
     stream = _events(context, table.get(job_id), None)
     told = [await anext(stream) for _ in range(3)]
     settings.heartbeat_s = 9.0
