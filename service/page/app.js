@@ -1,14 +1,14 @@
 // The page: the queue on the left, one job or a new scene on the right, keys, theme.
 
 import { ended, json, picture, useKey } from "./api.js";
-import { el, fill, notice } from "./dom.js";
+import { countsOf, el, fill, moreOf, notice } from "./dom.js";
 import { JobView } from "./job.js";
 import { submitView } from "./submit.js";
 
 const main = document.getElementById("main"), queue = document.getElementById("queue");
 const jobs = new Map(), rows = new Map();
 const POLL_MS = 2500, SHOWN = 200;
-let view = null, shown = "", lost = false;
+let view = null, shown = "", lost = false, totals = {};
 
 async function route() {
   const [, kind, id] = location.hash.split("/");
@@ -47,7 +47,6 @@ function noted(job) {
   jobs.set(job.id, job);
   if (!before || JSON.stringify(before) !== JSON.stringify(job)) drawRow(job);
   if (!before) order();
-  counts();
 }
 
 function drawRow(job) {
@@ -65,7 +64,7 @@ function drawRow(job) {
     picture(job.links.preview).then((src) => { thumb.src = src; thumb.hidden = false; }, () => {});
   }
   const time = job.submitted.slice(0, 10) === new Date().toISOString().slice(0, 10)
-    ? job.submitted.slice(11, 19) : job.submitted.slice(0, 10);
+    ? `${job.submitted.slice(11, 19)} UTC` : job.submitted.slice(0, 10);
   fill(link, el("span", { class: "thumb" }, thumb), el("span", { class: "what" },
     el("span", { class: "name" }, job.name),
     el("span", { class: "quiet" }, el("span", { class: `phase ${job.phase}` }, job.phase.toLowerCase()), ` ${time}`),
@@ -91,17 +90,16 @@ function filter() {
 }
 
 function counts() {
-  const all = [...jobs.values()], n = (phase) => all.filter((j) => j.phase === phase).length;
-  const parts = [[n("EXECUTING"), "running"], [n("QUEUED") + n("PENDING"), "waiting"]];
-  document.getElementById("counts").textContent =
-    parts.filter(([k]) => k).map(([k, text]) => `${k} ${text}`).join(", ");
+  document.getElementById("counts").textContent = countsOf(totals);
+  document.getElementById("more").textContent = moreOf(totals, SHOWN);
 }
 
-// The newest jobs: every page of the listing is followed once, then only what may have changed.
+// The newest jobs and all that run, as the list shows them; the counts are those of all jobs.
 async function poll() {
   const ready = document.getElementById("ready");
   try {
-    const found = await newestPage();
+    const [found, usage] = await Promise.all([listed(), json("/v1/usage")]);
+    totals = usage.jobs;
     for (const id of [...jobs.keys()]) {
       if (!found.has(id)) {
         jobs.delete(id);
@@ -110,6 +108,7 @@ async function poll() {
       }
     }
     for (const job of found.values()) noted(job);
+    counts();
     if (!queue.children.length) fill(queue, el("li", { class: "quiet none" }, "no jobs yet"));
     else queue.querySelector(".none")?.remove();
     ready.textContent = "";
@@ -124,11 +123,10 @@ async function poll() {
   }
 }
 
-async function newestPage() {
-  const found = new Map();
-  const { jobs: list } = await json(`/v1/queue?limit=${SHOWN}`);
-  for (const job of list) found.set(job.id, job);
-  return found;
+async function listed() {
+  const paths = [`/v1/queue?limit=${SHOWN}`, "/v1/jobs?phase=EXECUTING&limit=1000"];
+  const lists = await Promise.all(paths.map((path) => json(path)));
+  return new Map(lists.flatMap(({ jobs: list }) => list).map((job) => [job.id, job]));
 }
 
 function askKey() {

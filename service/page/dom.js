@@ -25,16 +25,31 @@ export function number(value, digits = 4) {
 }
 
 export function amount(bytes) {
-  const units = ["B", "kB", "MB", "GB", "TB"];
-  const k = Math.min(units.length - 1, Math.max(0, Math.floor(Math.log10(Math.max(1, bytes)) / 3)));
+  const units = ["B", "kB", "MB", "GB", "TB"], shown = Number(bytes.toPrecision(3));
+  const k = Math.min(units.length - 1, Math.max(0, Math.floor(Math.log10(Math.max(1, shown)) / 3)));
   return `${number(bytes / 1000 ** k, 3)} ${units[k]}`;
 }
 
 export function seconds(value) {
-  if (value < 60) return `${value.toFixed(value < 10 ? 1 : 0)} s`;
-  if (value < 3600) return `${Math.floor(value / 60)} min ${Math.round(value % 60)} s`;
-  return `${Math.floor(value / 3600)} h ${Math.round((value % 3600) / 60)} min`;
+  if (value < 59.5) return `${value.toFixed(value < 9.95 ? 1 : 0)} s`;
+  const s = Math.round(value), min = Math.round(value / 60);
+  if (s < 3600) return `${Math.floor(s / 60)} min ${s % 60} s`;
+  return `${Math.floor(min / 60)} h ${min % 60} min`;
 }
+
+// What `/v1/usage` counts, in words; and, where the list shows fewer, that it does.
+export function countsOf(phases) {
+  const parts = [[phases.EXECUTING, "running"], [phases.QUEUED + phases.PENDING, "waiting"]];
+  return parts.filter(([n]) => n).map(([n, text]) => `${n} ${text}`).join(", ");
+}
+
+export function moreOf(phases, listed) {
+  const all = Object.values(phases).reduce((sum, n) => sum + n, 0);
+  return listed < all ? `the newest ${listed} of ${all} are shown, and all that run` : "";
+}
+
+// What hides a source of the truth all through the exposure: "earth", "horizon", or nothing.
+export const hiddenBy = (source) => (source.visible_fraction === 0 ? source.hidden_by : null);
 
 // A button that copies text, and says that it did.
 export function copier(text, what) {

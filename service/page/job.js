@@ -1,7 +1,7 @@
 // One job: its progress, its frames with truth and coordinates, its report and plan.
 
 import { ask, download, ended, follow, json } from "./api.js";
-import { amount, el, fill, notice, number, seconds } from "./dom.js";
+import { amount, el, fill, hiddenBy, notice, number, seconds } from "./dom.js";
 import { jobSnippets } from "./snippets.js";
 import { trimmed } from "./schema.js";
 import { KINDS } from "./stretch.js";
@@ -303,13 +303,15 @@ export class JobView {
     const view = this.viewer, truth = view.truth;
     const rows = truth.targets.map((t) => el("tr", { tabindex: "0", "data-target": t.name,
       onclick: () => mark(t), onkeydown: (event) => { if (event.key === "Enter") mark(t); } },
-    el("td", {}, t.name), el("td", { class: "num" }, number(t.snr, 3)),
+    el("td", {}, t.name, hiddenBy(t) ? el("span", { class: "quiet" }, ` behind the ${hiddenBy(t)}`) : null),
+    el("td", { class: "num" }, number(t.snr, 3)),
     el("td", { class: "num" }, number(t.electrons, 3)), el("td", { class: "num" }, number(t.range_m / 1000, 5))));
     const mark = (t) => { view.marked = t; view.go(t.x_px, t.y_px, 4); };
     fill(this.table, rows.length ? el("table", { class: "pick" },
       el("thead", {}, el("tr", {}, ["target", "SNR", "e⁻", "km"].map((h) => el("th", {}, h)))),
       el("tbody", {}, rows)) : el("p", { class: "quiet" }, "no target in this frame"),
     el("p", { class: "quiet" }, `${truth.stars_in_frame} stars in the frame`
+      + (truth.stars_hidden ? `, ${truth.stars_hidden} more are hidden` : "")
       + (truth.stars.length < truth.stars_in_frame ? `, the brightest ${truth.stars.length} can be marked` : "")));
   }
 
@@ -347,7 +349,8 @@ export class JobView {
       }
     }
     if (!best) return "";
-    const light = `${number(best.electrons, 3)} e⁻, SNR ${number(best.snr, 3)}`;
+    const light = hiddenBy(best) ? `behind the ${hiddenBy(best)}`
+      : `${number(best.electrons, 3)} e⁻, SNR ${number(best.snr, 3)}`;
     return best.name ? `${best.name}: ${light}` : `G ${number(best.g_mag, 4)}: ${light}`;
   }
 

@@ -1,6 +1,7 @@
 // A frame on a canvas: tiles at the resolution that is needed, stretched here, truth drawn over.
 
 import { ask } from "./api.js";
+import { hiddenBy } from "./dom.js";
 import { Stretch } from "./stretch.js";
 
 const KEEP_PX = 48e6; // pixels of values kept in memory
@@ -337,7 +338,8 @@ function drawTruth(pen, view) {
   }
   if (view.overlay.targets) {
     for (const target of view.truth.targets) {
-      const name = view.overlay.names ? target.name : "";
+      const hidden = hiddenBy(target) ? ` (behind the ${hiddenBy(target)})` : "";
+      const name = view.overlay.names ? target.name + hidden : "";
       ring(pen, view, target, "#5cf28a", 13 * unit, name);
     }
   }
@@ -352,6 +354,7 @@ function ring(pen, view, thing, colour, radius, name) {
   if (x < -200 || y < -200 || x > view.canvas.width + 200 || y > view.canvas.height + 200) return;
   pen.strokeStyle = colour;
   pen.fillStyle = colour;
+  pen.setLineDash(hiddenBy(thing) ? [radius / 3, radius / 3] : []);
   const [xs, ys] = view.place(thing.x_start_px, thing.y_start_px);
   const [xe, ye] = view.place(thing.x_end_px, thing.y_end_px);
   const length = Math.hypot(xe - xs, ye - ys);
@@ -365,6 +368,7 @@ function ring(pen, view, thing, colour, radius, name) {
     pen.arc(x, y, radius, 0, 2 * Math.PI);
   }
   pen.stroke();
+  pen.setLineDash([]);
   if (name) {
     pen.save();
     pen.strokeStyle = "#000c";

@@ -64,6 +64,6 @@ export function hms(degrees) {
 }
 
 export function dms(degrees) {
-  const [d, m, s] = sexagesimal(Math.abs(degrees), 2);
-  return `${degrees < 0 ? "−" : "+"}${two(d)}°${m}′${s}″`;
+  const [d, m, s] = sexagesimal(Math.abs(degrees), 2), below = Math.round(degrees * 360000) < 0;
+  return `${below ? "−" : "+"}${two(d)}°${m}′${s}″`;
 }

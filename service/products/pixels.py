@@ -25,7 +25,7 @@ MAX_PIXELS = 1 << 24  # of one answer
 MAX_READ = 1 << 27  # of one tile, whatever is left of it after binning
 PLACE_COLUMNS = (
     *("x_px", "y_px", "x_start_px", "y_start_px", "x_end_px", "y_end_px"),
-    *("ra_deg", "dec_deg"),
+    *("ra_deg", "dec_deg", "hidden_by", "visible_fraction"),
 )
 STAR_COLUMNS = ("source_id", *PLACE_COLUMNS, "g_mag", "electrons", "snr")
 TARGET_COLUMNS = (
@@ -131,16 +131,19 @@ def tile_picture(values: np.ndarray, stretch: str, low: float | None, high: floa
 
 
 def truth_of(product: Path, frame: int, limit: int) -> JsonObject:
-    """Targets and the brightest `limit` stars inside a frame, as plain values."""
+    """Targets and the brightest `limit` stars inside a frame, as plain values; `hidden_by` says
+    what stands before one, and `stars_in_frame` leaves out those that it hides all the time."""
     about = describe(product)
     check_frame(frame, about["frames"])
-    out: JsonObject = {"targets": [], "stars": [], "stars_in_frame": 0}
+    out: JsonObject = {"targets": [], "stars": [], "stars_in_frame": 0, "stars_hidden": 0}
     targets = _truth_rows(product, "targets", frame, TARGET_COLUMNS)
     if targets is not None:
         out["targets"] = _plain(targets)
     stars = _truth_rows(product, "stars", frame, STAR_COLUMNS)
     if stars is not None:
-        out["stars_in_frame"] = stars.num_rows
+        if "visible_fraction" in stars.column_names:
+            out["stars_hidden"] = pc.sum(pc.equal(stars["visible_fraction"], 0.0)).as_py() or 0
+        out["stars_in_frame"] = stars.num_rows - out["stars_hidden"]
         keys = [("electrons", "descending"), ("source_id", "ascending")]
         brightest = pc.select_k_unstable(stars, k=min(limit, stars.num_rows), sort_keys=keys)
         out["stars"] = _plain(stars.take(brightest))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -19,6 +20,7 @@ from pipeline.spec.load import parse_scene, scene_yaml
 from tests.capacity.conftest import SMALL
 
 SHOWN = "canvas.sky[data-tiles]:not([data-tiles='0'])"  # at least one tile is on the canvas
+PAGE = Path(__file__).parents[2] / "service" / "page"
 KEEP = os.environ.get("NIGHTGLASS_SCREENSHOTS")  # a folder for the pictures of docs/
 
 
@@ -446,6 +448,35 @@ def test_what_a_cancelled_job_keeps_is_told(
     assert "MB kept" in tab.inner_text(".jobhead")
     page.leave()
     server.client.delete(job)
+
+
+WORDS = [
+    ("seconds", [9.96], "10 s"), ("seconds", [0.04], "0.0 s"), ("seconds", [59.4], "59 s"),
+    ("seconds", [59.6], "1 min 0 s"), ("seconds", [119.7], "2 min 0 s"),
+    ("seconds", [3599.8], "1 h 0 min"), ("seconds", [7199.9], "2 h 0 min"),
+    ("amount", [999], "999 B"), ("amount", [999_499], "999 kB"), ("amount", [999_999], "1 MB"),
+    ("dms", [-1e-7], "+00°00′00.00″"), ("dms", [-0.5], "−00°30′00.00″"),
+    ("countsOf", [{"EXECUTING": 2, "QUEUED": 300, "PENDING": 1}], "2 running, 301 waiting"),
+    ("moreOf", [{"COMPLETED": 198, "EXECUTING": 2}, 200], ""),
+    ("moreOf", [{"COMPLETED": 249, "EXECUTING": 2}, 200],
+     "the newest 200 of 251 are shown, and all that run"),
+    ("hiddenBy", [{"hidden_by": "earth", "visible_fraction": 0}], "earth"),
+    ("hiddenBy", [{"hidden_by": "earth", "visible_fraction": 0.2}], None),
+    ("hiddenBy", [{"hidden_by": None, "visible_fraction": 1}], None),
+]  # fmt: skip
+
+
+def test_words_of_the_page() -> None:
+    """Its formatting alone, without a browser."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("no Node here")
+    sources = "".join((PAGE / name).read_text() for name in ("dom.js", "wcs.js"))
+    calls = ",".join(f"{name}(...{json.dumps(given)})" for name, given, _ in WORDS)
+    code = f"{sources}\nconsole.log(JSON.stringify([{calls}]))"
+    command = [node, "--input-type=module", "-e", code]
+    told = subprocess.run(command, capture_output=True, check=True)
+    assert json.loads(told.stdout) == [wanted for *_, wanted in WORDS]
 
 
 def test_the_page_answers_head(server: Any) -> None:

@@ -235,3 +235,26 @@ def test_truth_is_that_of_the_frame_and_its_brightest_stars(tmp_path: Path) -> N
     first = [str((1 << 60) + k) for k in (3, 1)]  # of two alike that of the lower number
     assert [s["source_id"] for s in found["stars"]] == first
     assert [s["g_mag"] for s in found["stars"]] == [None, 2.0]
+    rows |= {"hidden_by": ["earth"] * 4 + [None], "visible_fraction": [0.0, 0.0, 0.0, 0.5, 1.0]}
+    pq.write_table(pa.table(rows), tmp_path / "truth" / "stars.parquet")
+    found = truth_of(tmp_path, 1, 2)
+    assert (found["stars_in_frame"], found["stars_hidden"]) == (2, 1)
+
+
+def test_truth_says_what_hides_a_source(scene: dict[str, Any], tmp_path: Path) -> None:
+    """Of two objects beyond the Earth, one behind it and one beside."""
+    from pipeline.route.run import Options, render
+
+    orbit = {"kind": "state", "position_m": [4.2164e7, 0, 0], "velocity_m_s": [0, 3075.0, 0]}
+    scene["observer"] = {"kind": "orbit", "orbit": orbit}
+    scene["sensor"] |= {"focal_length_m": 0.01, "aperture_m": 0.005}
+    scene["pointing"] = {"mode": "sidereal", "boresight_ra_deg": 189.0, "boresight_dec_deg": 0.0}
+    [target] = scene["targets"]
+    ways = {"behind": [-4.2e7, -1.25e7, 0], "beside": [-4.2e7, -1.42e7, 0]}
+    state = {"kind": "state", "velocity_m_s": [0, 0, 3000.0]}
+    scene["targets"] = [target | {"name": name, "orbit": state | {"position_m": where}}
+                        for name, where in ways.items()]  # fmt: skip
+    render(parse_scene(scene), tmp_path / "run", Options("synchronous"))
+    found = {t["name"]: t for t in truth_of(tmp_path / "run", 0, 2)["targets"]}
+    assert (found["behind"]["hidden_by"], found["behind"]["visible_fraction"]) == ("earth", 0.0)
+    assert (found["beside"]["hidden_by"], found["beside"]["visible_fraction"]) == (None, 1.0)
