@@ -76,7 +76,9 @@ def refuse(used: Used, pixel_frames: int, limits: TeamLimits) -> QueueFull | Non
     asked = used.pixel_frames + used.new_pixel_frames + pixel_frames
     if asked > limits.pixel_frames_day:
         most = limits.pixel_frames_day
-        return QueueFull(f"a team may ask for {most} pixels x frames a day (UTC); this is {asked}")
+        return QueueFull(
+            f"a team may ask for {most} pixels x frames a day (UTC); with this it would be {asked}"
+        )
     if used.bytes_kept >= limits.bytes_kept:
         most = limits.bytes_kept
         return QueueFull(f"a team may keep {most} bytes of products; delete some jobs first")

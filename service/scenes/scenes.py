@@ -14,7 +14,7 @@ from pipeline.spec.scene import Scene
 from service.problems import Mistake, NotAllowed
 from service.scenes.catalogues import catalogue_mistakes
 from service.settings import Settings
-from service.store.named_files import ID, NO_FILES, PREFIX
+from service.store.named_files import ID, NO_FILES, NO_SUCH, PREFIX
 
 log = logging.getLogger("nightglass.service")
 CATALOGUE_FIELD = "stars.catalogue"
@@ -80,8 +80,8 @@ def check_named(named: Named, settings: Settings, has_file: HasFile | None) -> N
     for name, value in named:
         if name == CATALOGUE_FIELD:
             mistakes += catalogue_mistakes(name, value, settings.catalogues)
-        elif not isinstance(value, str) or not _uploaded(value, has_file):
-            mistakes.append((name, value, NO_FILES))
+        elif allowed := _wrong_file(value, has_file):
+            mistakes.append((name, value, allowed))
     _refuse(mistakes)
 
 
@@ -97,10 +97,14 @@ def _refuse(mistakes: list[Mistake]) -> None:
         raise NotAllowed(f"{field}: allowed: {allowed}", tuple(mistakes))
 
 
-def _uploaded(value: str, has_file: HasFile | None) -> bool:
+def _wrong_file(value: str | list[str], has_file: HasFile | None) -> str | None:
+    """What is allowed in place of something that is no upload of the caller's team."""
+    if not isinstance(value, str) or not value.startswith(PREFIX):
+        return NO_FILES
     file_id = value.removeprefix(PREFIX)
-    known = file_id != value and ID.fullmatch(file_id) is not None
-    return known and has_file is not None and has_file(file_id)
+    if ID.fullmatch(file_id) is None:
+        return NO_FILES
+    return None if has_file is not None and has_file(file_id) else NO_SUCH
 
 
 def product_bytes_of(scene: Scene) -> int:

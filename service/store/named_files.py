@@ -14,6 +14,7 @@ from service.store.tables import jobs, uploads
 PREFIX = "upload:"
 ID = re.compile(r"[0-9a-f]{32}\.[a-z0-9]{1,8}")
 NO_FILES = "upload:ID of a file sent to /v1/files; no path or URL is taken"
+NO_SUCH = "upload:ID of a file of your team's; there is no such file (GET /v1/files lists them)"
 UNENDED = ("PENDING", "QUEUED", "EXECUTING")
 MOST_NAMED = 8
 
@@ -37,8 +38,8 @@ def check_files(db: sa.Connection, team: str, text: str) -> None:
     for file_id, name in files_in(text).items():
         query = sa.select(uploads.c.id).where(uploads.c.team == team, uploads.c.id == file_id)
         if db.execute(query).first() is None:
-            mistake = (name, PREFIX + file_id, NO_FILES)
-            raise NotAllowed(f"{name}: allowed: {NO_FILES}", (mistake,))
+            mistake = (name, PREFIX + file_id, NO_SUCH)
+            raise NotAllowed(f"{name}: allowed: {NO_SUCH}", (mistake,))
 
 
 def check_unused(db: sa.Connection, team: str, file_id: str) -> None:

@@ -198,7 +198,7 @@ def test_a_pending_job_grows_within_the_quota(database: str) -> None:
     """A larger scene counts as asked for, by what it is larger; one that is too large stays out."""
     store, limits = Queue(database), TeamLimits(pixel_frames_day=100)
     [(job, _)] = submit_many(store, [ask(phase=Phase.PENDING, pixel_frames=40)], limits)
-    with pytest.raises(QueueFull, match="this is 101"):
+    with pytest.raises(QueueFull, match="with this it would be 101"):
         store.amend(job.id, "red", limits, scene={"b": 2}, pixel_frames=101)
     assert (store.scene(job.id), store.get(job.id).pixel_frames) == ({"a": 1}, 40)
     for pixel_frames, counted in ((90, 90), (10, 90)):

@@ -254,9 +254,13 @@ def test_no_route_shows_or_touches_another_teams_job(guarded: Any, scene: dict[s
     assert (used["team"], used["jobs"]["COMPLETED"]) == ("blue", 0)
     own = guarded.client.post("/v1/jobs", json=scene, headers=blue | {"idempotency-key": "k"})
     assert own.status_code == 202  # a key of another team's is free
-    scene["sensor"]["flat"] = file_id
-    refused = guarded.client.post("/v1/jobs", json=scene, headers=blue)
-    assert refused.status_code == 422
+    refused = []
+    for name in (file_id, f"upload:{0:032x}.csv"):
+        scene["sensor"]["bandpass"] = {"kind": "table", "path": name}
+        answer = guarded.client.post("/v1/jobs", json=scene, headers=blue)
+        assert (answer.status_code, "there is no such file" in answer.text) == (422, True)
+        refused.append(answer.text.replace(name, ""))
+    assert refused[0] == refused[1]  # not even that another team has it
     assert guarded.client.get(f"/v1/jobs/{job}", headers=red).json()["phase"] == "COMPLETED"
     assert file_id in guarded.client.get("/v1/files", headers=red).text
 
