@@ -1,6 +1,6 @@
 #!/bin/sh
 # Makes a private authority, the certificate that scheduler, workers and service show each other,
-# and one for the service's own port. Usage: make-certificates.sh FOLDER [HOST ...]
+# and one for the service's own port. Usage: make-certificates.sh FOLDER [HOST-OR-ADDRESS ...]
 # Run it again to renew what the authority signs; the authority itself stays until it is removed.
 set -eu
 
@@ -34,7 +34,12 @@ sign() { # NAME SUBJECT-ALTERNATIVE-NAMES
 
 names="DNS:localhost,IP:127.0.0.1"
 for host in "$@"; do
-    names="$names,DNS:$host"
+    case $host in
+        *:*) kind=IP ;;
+        *[!0-9.]*) kind=DNS ;;
+        *) kind=IP ;;
+    esac
+    names="$names,$kind:$host"
 done
 sign cluster "$names,DNS:scheduler,DNS:nightglass-scheduler"
 sign api "$names,DNS:api,DNS:nightglass-api"

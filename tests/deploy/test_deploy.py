@@ -164,6 +164,17 @@ def test_shell_scripts(path):
     assert result.returncode == 0, result.stdout
 
 
+def test_certificates_name_hosts_and_addresses(tmp_path):
+    hosts = ["sky.example.org", "4.example.org", "10.1.2.3", "fd00::7"]
+    made = [str(DEPLOY / "tls" / "make-certificates.sh"), str(tmp_path), *hosts]
+    shown = [tool("openssl"), "x509", "-in", str(tmp_path / "api.pem"), "-noout", "-ext"]
+    subprocess.run(made, check=True, capture_output=True)
+    told = subprocess.run([*shown, "subjectAltName"], check=True, capture_output=True, text=True)
+    for name in ("DNS:sky.example.org", "DNS:4.example.org", "IP Address:10.1.2.3",
+                 "IP Address:FD00:0:0:0:0:0:0:7"):  # fmt: skip
+        assert f"{name}," in told.stdout
+
+
 @pytest.mark.parametrize("tasks", [{"MIN": "3"}, {"STEP": "2"}])
 def test_a_few_parts_run_again_say_of_how_many_they_are(tmp_path, tasks):
     """Tasks 3 to 8 alone may be of 64: without PARTS nothing is drawn."""
