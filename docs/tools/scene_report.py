@@ -19,7 +19,7 @@ and `--levels` choose, `--catalog` takes another catalogue than the synthetic on
 
 This page is one run, made by `python docs/tools/scene_report.py`; all its figures are in
 `docs/report.json`. What components that are omitted are worth, each rule of the plan has measured
-in the [ledger](reference/omissions.md). {remark}
+in the ledger (the page *What the plan may omit* of the built documentation). {remark}
 
 ![error of a pixel over its noise against CPU seconds of a render](pictures/report.png)
 
