@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 import shlex
 from pathlib import Path
 
@@ -85,3 +86,13 @@ def test_scenes_of_the_pages_are_planned(name, tmp_path, monkeypatch):
 def test_all_run(tmp_path):
     rows = doc_commands.run_all(tmp_path)
     assert sum(row["not_run"] is None for row in rows) >= 15
+
+
+def test_links_and_tests_that_the_pages_name_are_there() -> None:
+    """In the repository itself, where the built pages are not."""
+    for page in sorted((ROOT / "docs").rglob("*.md")):
+        text = page.read_text()
+        for link in re.findall(r"\]\(([^)#:\s]+\.md)[)#]", text):
+            assert (page.parent / link).exists(), (page.name, link)
+        for name in re.findall(r"`(tests/[\w/.]+)(?:`|::)", text):
+            assert (ROOT / name).exists(), (page.name, name)
