@@ -827,9 +827,9 @@ def _started(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setattr(
         uvicorn, "Server", lambda config: said.append(_configured(config)) or server
     )
-    monkeypatch.setattr(
-        main, "gc", SimpleNamespace(freeze=int, set_threshold=lambda *n: said.append(f"gc {n}"))
-    )
+    monkeypatch.setattr(main, "gc", SimpleNamespace(freeze=int))
+    collects = SimpleNamespace(set_threshold=lambda *n: said.append(f"gc {n}"))
+    monkeypatch.setattr("catalog_tools.engine.heap.gc", collects)
     monkeypatch.setattr("service.logs.set_up", lambda: None)
     main.serve(home=folder / "served", port=0)
     lines = [
