@@ -31,6 +31,7 @@ from sqlalchemy.exc import OperationalError
 from typer.testing import CliRunner
 
 from catalog_tools.catalogue import MANIFEST_NAME
+from catalog_tools.engine.code import code_digest
 from catalog_tools.storage.durable import file_digest
 from pipeline.errors import BadInput, Damaged
 from service import app as app_module
@@ -943,6 +944,7 @@ def _attempts_that_stop(clock: Clock, settings: Settings) -> list[str]:
         if what in ("held", "unfinished"):
             fill(product)
             (product / ".lock").write_text("")
+            (product / ".begun.json").write_text(json.dumps({"code": code_digest()}))
         if what == "cut off":
             product.mkdir()
         if what == "cancelled":
