@@ -390,7 +390,7 @@ for x in ["tcp://9.9.9.9:1", "thread"]: schedulers.open_scheduler(x, 2).__enter_
 for x in ["threads", "synchronous"]: graphs(schedulers.open_scheduler(x, 2))
 for x in [1, 2, 3]: tried(x)
 cluster_scheduler._renamed((max, ("a", 1), ["b", {}], ("c",)), {("a", 1): "A", "b": "B"})
-cluster_scheduler._try(cluster_scheduler._version(), max, 1, 2)
+cluster_scheduler._try(cluster_scheduler.code_digest(), max, 1, 2)
 cluster_scheduler._unique(("a", 1), "t"), cluster_scheduler._unique("a", "t")
 heap.ALLOCATION, errors.shorten("x" * 99), errors.shorten(10**5000), errors.shorten("y" * 80)
 str(errors.BadInput("f", 1, "2")), str(errors.Damaged("p", "r")), str(errors.DiskFull("s", 28,
@@ -543,7 +543,7 @@ def test_what_is_made_and_fetched(here: Path) -> None:
                 raise ValueError(f"failure {number}")
             return failures
 
-        return cluster_scheduler._try(cluster_scheduler._version(), work)
+        return cluster_scheduler._try(cluster_scheduler.code_digest(), work)
 
     def full(code: int, name: str) -> None:
         with durable.full_disk_told("/a", "make room"):

@@ -177,7 +177,7 @@ TEXTS_THAT_ARE_NO_PATHS = {
     "time_of_perigee", "centre", "bus", "closed", "phase_law", "near_sun", "starlight",
     "unit", "arrival", "on", "objects", "digest", "towards", "inside", "beyond", "scalar",
     "rotation", "interpolation", "profile", "axis", "moonlight", "twilight",
-    "name_contains", "left_out", "edges", "first", "accept", "object_name",
+    "name_contains", "left_out", "unmet", "edges", "first", "accept", "object_name",
 }  # fmt: skip
 
 
