@@ -9,6 +9,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+from catalog_tools.engine.code import sources
+
 FOLDER = "NUMBA_CACHE_DIR"  # of kept kernels, where they do not lie beside their sources
 
 
@@ -39,9 +41,7 @@ def keep_apart(package: Path) -> None:
     asked = os.environ.get(FOLDER)
     if not asked:
         return
-    sources = sorted(package.rglob("*.py"))
-    content = b"".join(f"{s.relative_to(package)}\0".encode() + s.read_bytes() for s in sources)
-    version = hashlib.sha256(content).hexdigest()[:16]
+    version = hashlib.sha256(b"".join(sources(package))).hexdigest()[:16]
     if Path(asked).name != version:  # a process that this one starts has it already
         os.environ[FOLDER] = str(Path(asked, version))
     if "numba" in sys.modules:

@@ -23,6 +23,7 @@ import llvmlite.binding
 import numpy as np
 
 from catalog_tools.documents import JsonObject
+from catalog_tools.engine.code import LIBRARIES, sources
 
 MOST_BYTES, MOST_FILES = 512e6, 4096
 WORTH_S = 0.01  # that making them takes: less is as quick made as read
@@ -134,10 +135,9 @@ def _parts(value: object) -> Iterator[bytes]:
 def _code() -> bytes:
     """What else arrays follow from: the code of the physics, its libraries and the processor."""
     told = hashlib.sha256()
-    physics = Path(__file__).parent / "physics"
-    for path in sorted(physics.rglob("*.py")):
-        told.update(path.relative_to(physics).as_posix().encode() + b"\0" + path.read_bytes())
-    for name in ("numpy", "scipy", "numba"):
+    for source in sources(Path(__file__).parent / "physics"):
+        told.update(source)
+    for name in LIBRARIES:
         told.update(version(name).encode())
     told.update(f"{platform.machine()} {llvmlite.binding.get_host_cpu_name()}".encode())
     return told.digest()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from functools import cache
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -10,6 +11,12 @@ from pathlib import Path
 
 PACKAGES = ("catalog_tools", "pipeline")
 LIBRARIES = ("numpy", "scipy", "numba")
+
+
+def sources(folder: Path) -> Iterator[bytes]:
+    """Name and content of each Python file below a folder, in order."""
+    for path in sorted(folder.rglob("*.py")):
+        yield path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes()
 
 
 @cache
@@ -23,10 +30,8 @@ def code_digest() -> str:
     for package in PACKAGES:
         spec = find_spec(package)
         assert spec is not None
-        folder = Path(str(spec.origin)).parent
-        for path in sorted(folder.rglob("*.py")):
-            name = path.relative_to(folder.parent).as_posix()
-            told.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
+        for source in sources(Path(str(spec.origin)).parent):
+            told.update(package.encode() + b"/" + source + b"\0")
     for library in LIBRARIES:
         told.update(version(library).encode() + b"\0")
     return told.hexdigest()[:16]

@@ -189,8 +189,7 @@ def _notes_on(records: Sequence[Record], about: About, folder: Path) -> tuple[st
     empty = [record["name"] for record in records if not record["rows"]]
     if 0 < len(empty) == len(records) and about.coverage is None:
         shutil.rmtree(folder, ignore_errors=True)  # there is nothing to go on with
-        more = f" and {len(empty) - 1} more" if len(empty) > 1 else ""
-        raise BadInput("source", "no row", f"at least one star ({empty[0]}{more}: no row in it)")
+        raise BadInput("source", "no row", f"at least one star ({_first(empty)}: no row in it)")
     notes = [f"{name} holds no row" for name in empty[:MOST_NAMED]]
     if len(empty) > MOST_NAMED:
         notes.append(f"{len(empty) - MOST_NAMED} more files hold no row")
@@ -208,8 +207,12 @@ def _doubts(records: Sequence[Record]) -> Iterator[str]:
         for doubt in record["doubts"]:
             of_sources.setdefault(doubt, []).append(record["name"])
     for doubt, names in of_sources.items():
-        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-        yield f"{names[0]}{more}: {doubt}"
+        yield f"{_first(names)}: {doubt}"
+
+
+def _first(names: Sequence[str]) -> str:
+    """The first of some names, and how many there are beside it."""
+    return f"{names[0]} and {len(names) - 1} more" if len(names) > 1 else names[0]
 
 
 def _notes_on_limits(records: Sequence[Record]) -> Iterator[str]:

@@ -42,7 +42,7 @@ class Bucket(Place):
             raise Incomplete(told) from None
 
     def check_free(self, resume: bool, replace: bool) -> None:
-        if not replace:
+        if not (resume or replace):  # what is taken up is listed once, when it is held
             remote.check_free_remote(self._objects, resume)
 
     @contextmanager

@@ -100,7 +100,7 @@ def is_begun(path: Path) -> bool:
         return not _is_of_another(json.loads((path / layout.BEGUN).read_bytes()))
     except OSError:
         return False
-    except ValueError:
+    except (ValueError, TypeError):
         return True
 
 

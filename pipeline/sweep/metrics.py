@@ -57,6 +57,7 @@ class Measurement:
         self.request = request
         self._cells: list[list[object]] = []
         self._backgrounds: list[tuple[float, int]] = []
+        self._step_e = maps.typical("gain_e_per_dn")
         self._saturated, self._pixels = 0, 0
         self._peaks: dict[str, list[float]] = {name: [] for name in names}
         self._snr: dict[str, list[float]] = {name: [] for name in names}
@@ -80,8 +81,7 @@ class Measurement:
         self._cells += [["dn", frame, *cell] for cell in cells]
         if "background" in self.metrics:
             light = self._calibrated(frame, tile, tile, dn, SAMPLED_PX)
-            step_e = self.maps.typical("gain_e_per_dn")
-            self._backgrounds.append((robust_noise(light, step_e)[0], dn.size))
+            self._backgrounds.append((robust_noise(light, self._step_e)[0], dn.size))
         for _, window in self._windows:
             part = overlap(window.place, tile)
             if part.rows and part.columns:
@@ -96,7 +96,7 @@ class Measurement:
     def end_frame(self) -> None:
         """After a frame's tiles."""
         for name, window in self._windows:
-            self._peaks[name].append(window.peak(self.request, self.maps.typical("gain_e_per_dn")))
+            self._peaks[name].append(window.peak(self.request, self._step_e))
         self._windows = []
 
     def row(self) -> JsonObject:

@@ -136,6 +136,13 @@ def test_a_sweep_or_study_is_never_taken_for_a_product(starry, tmp_path, record)
     assert (place / "points.parquet").read_text() == "dear"
 
 
+@pytest.mark.parametrize("content", ["5", "[]", "{}", "{"])
+def test_a_record_that_holds_no_identity_is_damage(product, starry, content):
+    (product / layout.BEGUN).write_text(content)
+    with pytest.raises(Damaged, match="not what was written"):
+        render(starry[0], product, AGAIN)
+
+
 def test_what_other_code_began_is_refused(starry, product):
     """Its tiles may have other bits: a product of both would be no scene's."""
     unfinished(product)
