@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from catalog_tools.documents import JsonObject
 
 NAMES = ("job", "attempt", "tile", "team", "request", "method", "path", "status", "ms")
+LEVELS = ("DEBUG", "INFO", "WARNING", "ERROR")
 SECRETS = re.compile(
     r"ng_([0-9a-f]{12})_[A-Za-z0-9_-]+"  # an API key: its id may be told
     r"|(?i:bearer)\s+\S+"
@@ -47,10 +48,13 @@ def set_up() -> None:
     """All logs of this process to stderr, as JSON lines; NIGHTGLASS_LOG: how much of our own."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines())
-    wanted = os.environ.get("NIGHTGLASS_LOG", "info").upper()
-    level = wanted if wanted in ("DEBUG", "INFO", "WARNING", "ERROR") else "INFO"
+    wanted = os.environ.get("NIGHTGLASS_LOG", "info")
+    known = wanted.upper() in LEVELS
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
-    logging.getLogger("nightglass").setLevel(level)
+    ours = logging.getLogger("nightglass")
+    ours.setLevel(wanted.upper() if known else logging.INFO)
+    if not known:
+        ours.warning("NIGHTGLASS_LOG: %s is none of %s: info", wanted, ", ".join(LEVELS).lower())
     logging.getLogger("alembic").setLevel(logging.WARNING)
     logging.captureWarnings(True)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import ipaddress
+import logging
 import socket
 import sys
 from pathlib import Path
@@ -16,12 +17,14 @@ from service import logs
 from service.accounts.keys import any_key
 from service.app import create_app
 from service.http.wire import bounded
-from service.settings import Settings, read_settings
+from service.settings import Settings, read_settings, unknown_variables
 from service.store.database import connect
 
 LISTEN = 2048
 STOP_S = 3  # how long answers in flight may take to end
 KEEP_ALIVE_S = 15
+
+log = logging.getLogger("nightglass.service")
 
 
 def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -> None:
@@ -32,6 +35,8 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
     settings = read_settings(home)
     with bind(host, port, lambda: _guarded(settings)) as listener:
         logs.set_up()
+        for name in unknown_variables():
+            log.warning("%s in the environment is no setting: it changes nothing", name)
         settings.make_folders()
         connect(settings.database_url).dispose()  # what is wrong with it is said before all else
         app = create_app(settings)

@@ -13,6 +13,10 @@ from pipeline.errors import NO_ROOM, BadInput, DiskFull
 from service.store.database import sqlite_url
 
 PREFIX = "NIGHTGLASS_"
+OTHERS = (  # variables that are no settings of the service: of commands, clusters, tests, deploy/
+    "BIND", "CACHE", "CLUSTER_CA", "CLUSTER_CERT", "CLUSTER_KEY", "DATA", "DEBUG", "IMAGE", "KEY",
+    "LOG", "PINS", "SATSIM_PYTHON", "SCREENSHOTS", "SERVER", "SLURM_FOLDER", "WORKERS_WAIT_S",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -161,6 +165,12 @@ def read_settings(home: Path | None = None, environ: Mapping[str, str] = os.envi
     settings = Settings(home=home.expanduser().resolve(), **given)
     settings.check()
     return settings
+
+
+def unknown_variables(environ: Mapping[str, str] = os.environ) -> list[str]:
+    """Variables that begin as ours do and mean nothing: misspelt, or of another version."""
+    known = {PREFIX + name for name in (*(f.name.upper() for f in fields(Settings)), *OTHERS)}
+    return sorted(name for name in environ if name.startswith(PREFIX) and name not in known)
 
 
 def _parse(name: str, text: str, kind: str) -> str | tuple[str, ...] | float:

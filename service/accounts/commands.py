@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated
 
 import sqlalchemy as sa
@@ -67,13 +68,13 @@ def listing(home: Home = None, as_json: Json = False) -> None:
         print_json(rows)
         return
     for row in rows:
-        made = datetime.fromtimestamp(row["created_s"], UTC).date()
-        state = "usable" if usable(_Row(row)) else "revoked" if row["revoked_s"] else "expired"
-        print(f"{row['id']}  {state:8} {made}  {row['team']}  {row['name']}")
+        made, ends = (_date(row[name]) for name in ("created_s", "expires_s"))
+        ended = "revoked" if row["revoked_s"] else "expired"
+        state = "usable" if usable(SimpleNamespace(**row)) else ended
+        until = f"until {ends}" if ends else "without end"
+        print(f"{row['id']}  {state:8} {made} {until:16}  {row['team']}  {row['name']}")
 
 
-class _Row:
-    """A row's values as attributes."""
-
-    def __init__(self, row: dict[str, object]) -> None:
-        self.__dict__.update(row)
+def _date(s: float | None) -> str:
+    """The date of seconds since 1970, in UTC; nothing for None."""
+    return "" if s is None else str(datetime.fromtimestamp(s, UTC).date())

@@ -17,6 +17,7 @@ import numpy as np
 import zarr
 from numba.core import event
 
+from pipeline.compile_time import EVENT, Compiling
 from pipeline.errors import NightglassError, exit_code
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
@@ -25,27 +26,10 @@ MOST_CPU_S, MOST_MEMORY_MB = 60.0, 2000.0  # a plan that predicts more is to be 
 ADDRESS_SPACE = 8 << 30  # what a process may map beyond what it maps when idle [bytes]
 
 
-class Compiling(event.Listener):
-    """CPU seconds that numba has spent on compiling."""
-
-    def __init__(self) -> None:
-        self.cpu_s, self.depth, self.since = 0.0, 0, 0.0
-
-    def on_start(self, event: Any) -> None:
-        if not self.depth:
-            self.since = time.process_time()
-        self.depth += 1
-
-    def on_end(self, event: Any) -> None:
-        self.depth -= 1
-        if not self.depth:
-            self.cpu_s += time.process_time() - self.since
-
-
 def main(folder: Path) -> None:
     """Answer scenes from the standard input until it ends; `folder` takes each one's product."""
     compiling = Compiling()
-    event.register("numba:compile", compiling)
+    event.register(EVENT, compiling)
     answers, sys.stdout = sys.stdout, sys.stderr
     mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (mapped + ADDRESS_SPACE, mapped + ADDRESS_SPACE))

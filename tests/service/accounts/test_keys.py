@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -26,6 +27,7 @@ import sqlalchemy as sa
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from pipeline.errors import BadInput
+from service.accounts import commands
 from service.accounts.auth import Authenticator, Caller
 from service.accounts.keys import TOKEN, any_key, create_key, list_keys, matches, revoke_key
 from service.accounts.oidc import Verifier
@@ -182,6 +184,21 @@ def test_the_command(tmp_path: Path) -> None:
     assert json.loads(run("list", "--json").stdout)[0]["revoked_s"]
     wrong = run("revoke", "x")
     assert (wrong.returncode, "KEY" in wrong.stderr) == (2, True)
+
+
+def test_the_list_tells_when_keys_end(
+    engine: sa.Engine, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, days in (("ann", None), ("bob", 30.0)):
+        create_key(engine, "red", name, days)
+    monkeypatch.setattr(commands, "_engine", lambda _: (engine, Path()))
+    commands.listing(None, False)
+    without, until = capsys.readouterr().out.splitlines()
+    day = datetime.now(UTC).date() + timedelta(days=30)
+    assert re.fullmatch(r"\w{12}  usable   \S+ without end  +red  ann", without)
+    assert re.fullmatch(r"\w{12}  usable   \S+ until \S+  +red  bob", until)
+    # a midnight may have passed in between
+    assert any(f"until {day - timedelta(days=n)} " in until for n in (0, 1))
 
 
 @pytest.fixture(scope="module")
