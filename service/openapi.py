@@ -152,7 +152,7 @@ KINDS: dict[str, tuple[str, ...]] = {  # of what is answered to a GET, where it 
     f"{JOB_PATH}/frames/{{frame}}/fits": ("application/fits",),
     f"{JOB_PATH}/frames/{{frame}}/tiles/{{row}}/{{column}}": ("application/octet-stream",),
     f"{JOB_PATH}/frames/{{frame}}/tiles/{{row}}/{{column}}/picture.png": ("image/png",),
-    "/v1/schema/scene": ("application/schema+json",),
+    **{f"/v1/schema/{of}": ("application/schema+json",) for of in ("scene", "sweep", "study")},
     "/metrics": ("text/plain",),
     "/uws/async": ("text/xml",),
     "/uws/async/{job_id}": ("text/xml",),

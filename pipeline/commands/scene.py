@@ -14,14 +14,16 @@ from pipeline.inputs.band.response import gather_response
 from pipeline.light_curve import ENDINGS, light_curves, write_light_curves
 from pipeline.lines import pair
 from pipeline.resolve.files import read_files
+from pipeline.spec.json_schemas import json_schema
 from pipeline.spec.load import load_scene
-from pipeline.spec.scene import Scene
 from pipeline.store.result_files import check_ending
 
 
-def schema() -> None:
-    """Print the JSON Schema of a scene."""
-    print_json(Scene.model_json_schema(by_alias=True))
+def schema(
+    of: Annotated[str, typer.Argument(metavar="FORMAT", help="scene, sweep or study")] = "scene",
+) -> None:
+    """Print the JSON Schema of a scene, a sweep or a study."""
+    print_json(json_schema(of))
 
 
 def color_fit(

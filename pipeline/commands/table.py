@@ -22,7 +22,7 @@ COMMANDS: Table = {
         "product:calibrate",
         "Copy a product with its frames calibrated: less bias and dark, over the flat (electrons).",
     ),
-    "schema": ("scene:schema", "Print the JSON Schema of a scene."),
+    "schema": ("scene:schema", "Print the JSON Schema of a scene, a sweep or a study."),
     "color-fit": (
         "scene:color_fit",
         "Show the colour correction from Gaia G to the sensor's band, with its residuals.",

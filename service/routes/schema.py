@@ -1,4 +1,4 @@
-"""The JSON Schema of the scene format, and texts of scenes as plain data."""
+"""JSON Schemas of scenes, sweeps and studies, and texts of scenes as plain data."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
-from pipeline.spec.scene import Scene
+from pipeline.spec.json_schemas import json_schema
 from service.context import Service
 from service.http.bodies import TEXTS, media_type, parse_text, read_body
 from service.routes.jobs import json_body
@@ -17,9 +17,23 @@ router = APIRouter(prefix="/v1/schema", tags=["schema"])
 @router.get("/scene")
 def scene(_: Service) -> Response:
     """JSON Schema (2020-12) of a scene, as `nightglass schema` prints it."""
-    return JSONResponse(
-        Scene.model_json_schema(by_alias=True), media_type="application/schema+json"
-    )
+    return _schema("scene")
+
+
+@router.get("/sweep")
+def sweep(_: Service) -> Response:
+    """JSON Schema (2020-12) of a sweep, as `nightglass schema sweep` prints it."""
+    return _schema("sweep")
+
+
+@router.get("/study")
+def study(_: Service) -> Response:
+    """JSON Schema (2020-12) of a study of capacity, as `nightglass schema study` prints it."""
+    return _schema("study")
+
+
+def _schema(of: str) -> Response:
+    return JSONResponse(json_schema(of), media_type="application/schema+json")
 
 
 @router.post("/scene/read", openapi_extra=json_body("The text of a scene.", TEXTS))

@@ -9,6 +9,7 @@ from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
 from catalog_tools.documents import JsonObject
+from pipeline.spec.json_schemas import json_schema
 from pipeline.spec.scene import Scene
 from service.context import Context, Service
 from service.http.bodies import digest_of, parse_json, read_body
@@ -101,7 +102,7 @@ async def processes(request: Request) -> Response:
 async def process(request: Request, process: str) -> Response:
     """A process with its input's JSON Schema (that of a scene) and its outputs."""
     about = _summary(request, process)
-    schema = Scene.model_json_schema(by_alias=True)
+    schema = json_schema("scene")
     schema["$id"] = f"{_root(request)}/v1/schema/scene"  # references are taken from here
     scene = {
         "title": "scene",

@@ -17,6 +17,8 @@ import pytest
 from pipeline.errors import BadInput
 from pipeline.spec.load import PATH_FIELDS
 from pipeline.spec.scene import Scene
+from pipeline.spec.study import Study
+from pipeline.spec.sweep import Sweep
 from service.app import create_app
 from service.main import bind
 from service.settings import Settings, read_settings
@@ -366,7 +368,9 @@ def test_settings_come_from_the_environment(tmp_path: Path) -> None:
             read_settings(None, environ | {f"NIGHTGLASS_{name}": value})
 
 
-def test_schema_is_that_of_the_command(client: httpx.Client) -> None:
-    answer = client.get("/v1/schema/scene")
+@pytest.mark.parametrize("model", [Scene, Sweep, Study])
+def test_schema_is_that_of_the_command(client: httpx.Client, model: Any) -> None:
+    answer = client.get(f"/v1/schema/{model.__name__.lower()}")
     assert answer.status_code == 200
-    assert answer.json() == json.loads(json.dumps(Scene.model_json_schema(by_alias=True)))
+    assert answer.headers["content-type"] == "application/schema+json"
+    assert answer.json() == json.loads(json.dumps(model.model_json_schema(by_alias=True)))
