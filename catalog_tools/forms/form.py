@@ -118,7 +118,10 @@ class IdRule:
 
 @dataclass(frozen=True)
 class Epoch:
-    """Columns with the epoch of a row, and their unit: all rows must be of the form's epoch."""
+    """Columns with the epoch of a row, and their unit: all rows must be of the form's epoch.
+
+    A form that names none takes Gaia's `ref_epoch`, where a file has it.
+    """
 
     names: tuple[str, ...]
     unit: str = "jyear"
@@ -160,7 +163,7 @@ class Form:
     epoch_scale: str
     source_id: IdRule
     sources: tuple[ColumnSource, ...]
-    epoch: Epoch | None = None
+    epoch: Epoch = Epoch(("ref_epoch",))
     layout: Layout = Layout()
     foreign: tuple[str, ...] = ()
 
@@ -192,8 +195,7 @@ class Form:
                 chosen.setdefault(self._find(table, source.names, where, column), "number")
                 for name in (*source.positive, *source.colour):
                     chosen.setdefault(self._find(table, (name,), where, column), "number")
-        found = table.first(self.epoch.names) if self.epoch is not None else None
-        if found is not None:
+        if (found := table.first(self.epoch.names)) is not None:
             chosen.setdefault(found, "number")
         return chosen
 

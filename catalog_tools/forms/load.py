@@ -143,7 +143,7 @@ def _form(table: _Table) -> Form:
         raise table.refuse("ref_epoch_jyear", jyear, "a Julian year from 1800 to 2200")
     scale = table.choice("epoch_scale", SCALES)
     layout = _layout(table.inner("table"))
-    epoch = _epoch(table.inner("epoch")) if table.has("epoch") else None
+    epoch = _epoch(table.inner("epoch")) if table.has("epoch") else Form.epoch
     rule = _id_rule(table.inner("source_id"))
     sources = []
     for column in UNITS:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..columns import INCOMING
 from ..errors import BadInput
-from ..forms import ColumnSource, Epoch, Form, IdRule
+from ..forms import ColumnSource, Form, IdRule
 from ..forms.form import MU_ALPHA, Names
 from ..partition import healpix_29
 
@@ -31,8 +31,7 @@ def apply(form: Form, table: pa.Table, where: str, before: int) -> pa.Table:
     for field in INCOMING:
         if field.name != "source_id":
             made[field.name] = _column(form, table, names, field, where, made)
-    if form.epoch is not None:
-        _check_epoch(form.epoch, form, table, names, made, where, before)
+    _check_epoch(form, table, names, made, where, before)
     made["source_id"] = _ids(form.source_id, table, names, made, where, before)
     return pa.table([made[name] for name in INCOMING.names], schema=INCOMING)
 
@@ -128,7 +127,6 @@ def _colour_term(way: ColumnSource, table: pa.Table, names: Names, where: str) -
 
 
 def _check_epoch(
-    epoch: Epoch,
     form: Form,
     table: pa.Table,
     names: Names,
@@ -137,6 +135,7 @@ def _check_epoch(
     before: int,
 ) -> None:
     """Refuse a row of another epoch, unless it has no G magnitude and is rejected for that."""
+    epoch = form.epoch
     name = names.first(epoch.names)
     if name is None:
         return

@@ -371,6 +371,15 @@ def test_rows_of_another_epoch_are_refused(tmp_path, unit, same, later):
             rows(tmp_path, form, csv)
 
 
+def test_gaias_column_of_epochs_counts_where_a_column_map_names_none(tmp_path):
+    """Positions of J2015.5 read as J2000.0 would be off by 15.5 years of motion."""
+    form = load(tmp_path, EXAMPLE)
+    head = "id,alpha,delta,mag,ref_epoch\n"
+    assert rows(tmp_path, form, f"{head}7,1.5,-2,9,2000.0\n")[0]["ra"] == 1.5
+    with pytest.raises(BadInput, match=r"ref_epoch row 1: 2015\.5.*allowed: 2000"):
+        rows(tmp_path, form, f"{head}7,1.5,-2,9,2015.5\n")
+
+
 def test_a_bad_row_is_named_by_its_place_in_the_file(tmp_path):
     """Files are read in pieces: the rows of those before count."""
     epoch = '[epoch]\nfrom = "t"\nunit = "jyear"\n[source_id]'
