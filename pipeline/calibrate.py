@@ -13,7 +13,7 @@ import zarr
 from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import full_disk_told
 from pipeline.arrays import SensorMaps
-from pipeline.errors import BadInput, Damaged
+from pipeline.errors import BadInput, Damaged, check_new
 from pipeline.execute.detector import tile_chain
 from pipeline.export.files import layers_of
 from pipeline.export.picture import frame_picture, png_bytes
@@ -50,8 +50,7 @@ def calibrate(product: Path, output: Path) -> JsonObject:
     cube = open_cube(product)
     if "dn" not in cube.data_vars:
         raise BadInput("PRODUCT", str(product), "a product with raw frames (`dn`)")
-    if output.exists():
-        raise BadInput("-o", str(output), "a path that does not exist yet")
+    check_new(output)
     scene = parse_scene(parse_yaml(str(cube.attrs["scene"]), f"{product}: scene"))
     check_same_images(product, scene.as_dict())
     maps = gather_sensor_maps(scene)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from catalog_tools.errors import (
     NO_ROOM,
     BadInput,
@@ -26,6 +28,7 @@ __all__ = [
     "NightglassError",
     "NOT_NOW",
     "TryLater",
+    "check_new",
     "exit_code",
     "shorten",
     "why_broken",
@@ -34,6 +37,12 @@ __all__ = [
 
 class Interrupted(NightglassError):
     """Stopped by the user; the text says what is kept and how to go on."""
+
+
+def check_new(output: Path, empty: bool = False) -> None:
+    """BadInput where what is written (`-o`) is there already; empty : a folder may be, if empty."""
+    if output.exists() and not (empty and output.is_dir() and not any(output.iterdir())):
+        raise BadInput("-o", str(output), "a path that does not exist yet")
 
 
 NOT_NOW = (0, 429, 503)  # statuses of a server that may answer later

@@ -14,7 +14,7 @@ import httpx
 
 from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import file_digest
-from pipeline.errors import NOT_NOW, BadInput, Damaged, Incomplete
+from pipeline.errors import NOT_NOW, BadInput, Damaged, Incomplete, check_new
 from pipeline.store import layout
 from pipeline.store.product import check, content_digest
 from service.answers import problem_of
@@ -69,8 +69,7 @@ def fetch_product(job: Fetched, folder: Path, parallel: int, listen: Listener | 
 def fetch_sweep(job: Fetched, folder: Path, parallel: int = 8) -> Path:
     """Bring what a sweep or a study made (tables, report, page) into `folder`, each file of its
     seal proved by its digest; the seal comes last. Raises as `fetch_product` does."""
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise BadInput("-o", str(folder), "a path that does not exist yet")
+    check_new(folder, empty=True)
     stage = folder.with_name(folder.name + PART)  # of an earlier try: begun anew
     shutil.rmtree(stage, ignore_errors=True)
     stage.mkdir(parents=True)

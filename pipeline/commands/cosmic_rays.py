@@ -11,7 +11,7 @@ import typer
 
 from pipeline.commands.options import Json, Output, print_mapping
 from pipeline.commands.pages import is_quiet
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, check_new
 from pipeline.inputs.sensor.cosmic_ray_darks import extract_library, open_darks
 from pipeline.inputs.sensor.cosmic_ray_library import read_library, write_library
 from pipeline.studies.cosmic_rays import compare_library, draw_comparison
@@ -44,8 +44,7 @@ def extract(
         raise BadInput("--threshold-sigma", threshold_sigma, "3 or more: noise is no event")
     if not 1.0 <= grow_sigma <= threshold_sigma:
         raise BadInput("--grow-sigma", grow_sigma, f"1 to the threshold, {threshold_sigma:g}")
-    if output.exists():
-        raise BadInput("-o", str(output), "a path that does not exist yet")
+    check_new(output)
     _check_place(output, ".fits")
     darks = open_darks(dark_frames)
     show = None if is_quiet(as_json) else _show

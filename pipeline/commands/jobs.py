@@ -10,7 +10,7 @@ import typer
 
 from catalog_tools.documents import JsonObject
 from pipeline.commands.options import Json, Output, print_json
-from pipeline.errors import BadInput, Interrupted
+from pipeline.errors import BadInput, Interrupted, check_new
 from pipeline.lines import fold, pair, table
 
 jobs = typer.Typer(
@@ -50,8 +50,7 @@ def render_there(
 
     Interrupted, the job goes on; `nightglass jobs fetch` brings what it made.
     """
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise BadInput("-o", str(output), "a path that does not exist yet")
+    check_new(output, empty=True)
     with connect(server) as client:
         job = client.submit(read_scene(scene, overrides))
         try:
@@ -69,8 +68,7 @@ def run_there(
 
     Interrupted, the job goes on; `nightglass jobs show` tells of it.
     """
-    if output.exists() and (not output.is_dir() or any(output.iterdir())):
-        raise BadInput("-o", str(output), "a path that does not exist yet")
+    check_new(output, empty=True)
     with connect(server) as client:
         job = getattr(client, kind)(asked)
         try:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from PIL import Image
 
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, check_new
 from pipeline.export.header import fits_header
 from pipeline.export.picture import png_bytes, shrink, stretch
 from pipeline.lazily import fits
@@ -39,8 +39,7 @@ def export_frames(
         raise BadInput("-o", str(output), "a folder, or --frame N for one file")
     for k in frames:
         path = output if single else output / f"frame-{k:05d}.{kind}"
-        if path.exists():
-            raise BadInput("-o", str(path), "a path that does not exist yet")
+        check_new(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         content = fits_bytes(product, cube, k, layer) if kind == "fits" else _png(product, k, layer)
         write_atomically(path, content)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, check_new
 from pipeline.export import coco, satnet
 from pipeline.export.files import KINDS as FRAME_KINDS
 from pipeline.export.files import export_frames, fits_bytes, frames_of, layers_of
@@ -75,10 +75,10 @@ def export_product(
         (0 < sigma < 1e6, "--threshold", sigma, "above 0 and below 1e6"),
         (request.light in ("response", "layers"), "--light", request.light, "response or layers"),
         (snr is None or snr >= 0, "--stars-snr", snr, "a number of at least 0"),
-        (not output.exists(), "-o", str(output), "a path that does not exist yet"),
     ):
         if not good:
             raise BadInput(field, value, allowed)
+    check_new(output)
     job = _Job(product, request)
     yield from WRITERS[kind](job, output)
 

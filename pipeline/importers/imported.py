@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, check_new
 from pipeline.spec.load import MAX_BYTES, parse_scene, scene_yaml
 from pipeline.spec.scene import Scene
 from pipeline.store.layout import write_atomically
@@ -66,8 +66,7 @@ class Imported:
     def write(self, output: Path) -> Scene:
         """Write the scene with its notes as comments, and its images beside it; returns it."""
         for path in (output, *(output.parent / name for name in self.images)):
-            if path.exists():
-                raise BadInput("-o", str(path), "a path that does not exist yet")
+            check_new(path)
         scene = parse_scene(self.data)
         output.parent.mkdir(parents=True, exist_ok=True)
         for name, image in self.images.items():

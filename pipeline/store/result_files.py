@@ -8,7 +8,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, check_new
 
 
 def check_ending(path: Path, endings: Sequence[str]) -> None:
@@ -17,8 +17,7 @@ def check_ending(path: Path, endings: Sequence[str]) -> None:
         raise BadInput("-o", path.name, f"a name that ends in {', '.join(endings)}")
     if not path.parent.is_dir():
         raise BadInput("-o", str(path), "a file in a folder that exists")
-    if path.exists():
-        raise BadInput("-o", str(path), "a path that does not exist yet")
+    check_new(path)
 
 
 def without_nan(table: pa.Table) -> pa.Table:

@@ -18,6 +18,7 @@ from catalog_tools.info import info as facts
 from catalog_tools.query import query
 from pipeline.commands.catalog.shared import CataloguePlace, note, numbers
 from pipeline.commands.options import Json, print_mapping
+from pipeline.errors import check_new
 
 
 def forms(as_json: Json = False) -> None:
@@ -88,9 +89,9 @@ def _write_table(rows: Any, output: Path | None) -> None:
     """A table to a .csv or .parquet file, or as CSV to the screen."""
     if output is None:
         pyarrow.csv.write_csv(rows, sys.stdout.buffer)
-    elif output.exists():
-        raise BadInput("-o", str(output), "a path that does not exist yet")
-    elif output.suffix == ".csv":
+        return
+    check_new(output)
+    if output.suffix == ".csv":
         pyarrow.csv.write_csv(rows, output)
     elif output.suffix == ".parquet":
         pyarrow.parquet.write_table(rows, output)

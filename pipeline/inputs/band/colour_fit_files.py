@@ -10,7 +10,7 @@ from pathlib import Path
 
 from catalog_tools.documents import JsonObject, JsonValue
 from catalog_tools.storage.durable import write_atomically
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, check_new
 from pipeline.inputs.band.colour_fit import checksum, fit_of, gather_colour_fit, plain_fit
 from pipeline.kept import cache_folder
 from pipeline.physics.colour import ColourFit
@@ -35,8 +35,7 @@ def colour_fit_of(scene: Scene, response: ResponseCurve, band: str, digest: str)
 
 def write_colour_fit(path: Path, fit: ColourFit, digest: str) -> None:
     """Write a fit with the digest of the response that it belongs to; no file is replaced."""
-    if path.exists():
-        raise BadInput("-o", str(path), "a path that does not exist yet")
+    check_new(path)
     if path.suffix != ".json":
         raise BadInput("-o", str(path), "a path ending in .json")
     content = plain_fit(fit)
