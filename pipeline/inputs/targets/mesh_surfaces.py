@@ -34,6 +34,7 @@ LARGEST_TABLE_BYTES = 100_000_000
 # their peak by less than 1%
 SHARP_EXPONENT, SHARP_ROUGHNESS, SUN_RINGS = 400.0, 0.05, 3
 RINGS_A_HIGHLIGHT = 2.0 * SUN_RADIUS_RAD  # two of the disc within each highlight's width [rad]
+ASYMMETRY = 0.05  # more than measured tables have by their error
 
 
 class Palette:
@@ -71,20 +72,27 @@ class Palette:
             self._made[key] = len(self._surfaces)
             self._surfaces.append(surface)
             if isinstance(request, TableSurface) and isinstance(surface.brdf, BrdfTable):
-                self.notices += _ends(surface.brdf, Path(request.path).name)
+                self.notices += _doubts(surface.brdf, Path(request.path).name)
             self._digest.update(_told(request).encode() + content)
         return self._made[key]
 
 
-def _ends(table: BrdfTable, name: str) -> list[str]:
-    """What is said of a table that does not reach all directions."""
+def _doubts(table: BrdfTable, name: str) -> list[str]:
+    """What is said of a table that does not reach all directions, or is not reciprocal."""
     axes = {"theta_i": table.theta_i_rad, "theta_o": table.theta_o_rad, "phi": table.phi_rad}
     ends = {key: float(np.rad2deg(axis[-1])) for key, axis in axes.items()}
     short = [
         f"{k} {end:.4g}" for k, end in ends.items() if end < (180 if k == "phi" else 90) - 1e-6
     ]
-    told = f"{name}: its BRDF ends at {', '.join(short)} deg: beyond, the value there holds"
-    return [told] if short else []
+    told = []
+    if short:
+        told += [f"{name}: its BRDF ends at {', '.join(short)} deg: beyond, the value there holds"]
+    if table.asymmetry > ASYMMETRY:
+        told += [
+            f"{name}: its BRDF differs by up to {table.asymmetry:.2g} of its largest value where "
+            "Sun and observer change places; no surface does so, and the mean of both is drawn"
+        ]
+    return told
 
 
 def _told(request: Reflecting) -> str:

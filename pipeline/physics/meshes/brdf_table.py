@@ -25,12 +25,15 @@ class BrdfTable:
     phi_rad : ascending azimuth between them, 0 (observer on the Sun's side, backscatter) to pi
         (forward, where a mirror shines)
     value : (theta_i, theta_o, phi) 1/sr
+    asymmetry : how far the values were from their mirror image before both were averaged, as
+        `reciprocity_error` has it
     """
 
     theta_i_rad: Array
     theta_o_rad: Array
     phi_rad: Array
     value: Array
+    asymmetry: float = 0.0
 
     def __call__(self, normal: ArrayLike, sun: ArrayLike, observer: ArrayLike) -> Array:
         """BRDF (...,) [1/sr] for unit vectors (..., 3); 0 from behind."""
@@ -92,9 +95,11 @@ def brdf_table(
         raise BadInput(field, f"{table.shape} values", f"one for each direction: {shape}")
     if not (np.all(np.isfinite(table)) and table.min() >= 0.0):
         raise BadInput(field, "a negative or missing value", "BRDF values >= 0 [1/sr]")
+    asymmetry = 0.0
     if np.array_equal(axes[0], axes[1]):
+        asymmetry = reciprocity_error(table)
         table = 0.5 * (table + table.transpose(1, 0, 2))
-    made = BrdfTable(axes[0], axes[1], axes[2], table)
+    made = BrdfTable(axes[0], axes[1], axes[2], table, asymmetry)
     share = made.reflected_share(np.linspace(0.0, 1.5, 16)).max()
     if share > MOST_LIGHT:
         raise BadInput(field, f"a surface that reflects {share:.3g} of the light", "at most all")
@@ -110,9 +115,9 @@ def _rises(axis: Array, top_rad: float) -> bool:
 
 
 def reciprocity_error(value: ArrayLike) -> float:
-    """Greatest difference of a table (n, n, phi) from its mirror image, over its mean."""
+    """Greatest difference of a table (n, n, phi) from its mirror image, over its largest value."""
     table = np.asarray(value, float)
-    return float(np.abs(table - table.transpose(1, 0, 2)).max() / max(table.mean(), 1e-300))
+    return float(np.abs(table - table.transpose(1, 0, 2)).max() / max(table.max(), 1e-300))
 
 
 def _cell(grid: Array, at: ArrayLike) -> tuple[NDArray[np.int64], Array]:

@@ -484,6 +484,19 @@ def test_a_table_that_ends_early_is_told(tmp_path):
         assert gather_mesh(body(write(tmp_path, CUBE), surface=surface)).notices == told
 
 
+def test_a_table_that_no_surface_has_is_told(tmp_path):
+    """Light goes from a to b as from b to a (Helmholtz); 5% is a measurement's error."""
+    angles, turns = np.array([0.0, 45.0, 90.0]), np.array([0.0, 90.0, 180.0])
+    i, o, phi = (v.ravel() for v in np.meshgrid(angles, angles, turns, indexing="ij"))
+    for uneven, share in ((0.0, None), (0.02, None), (0.3, "0.3")):
+        value = 0.1 * (1.0 - uneven * ((i == 45.0) & (o == 0.0)))
+        np.save(tmp_path / "t.npy", np.stack([i, o, phi, value], axis=1))
+        surface = {"kind": "table", "path": str(tmp_path / "t.npy")}
+        told = gather_mesh(body(write(tmp_path, CUBE), surface=surface)).notices
+        assert len(told) == (share is not None)
+        assert all(f"t.npy: its BRDF differs by up to {share} of its largest" in t for t in told)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "word"),
     [
