@@ -7,6 +7,7 @@ import re
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -276,8 +277,11 @@ def test_a_sensor_without_a_night_is_reported_and_the_others_look(
     assert all(0.0 <= r["used_fraction"] <= 1.0 for r in rows)
 
 
-def test_decayed_objects_are_reported(data: Data, tmp_path: Path) -> None:
-    """An object whose SGP4 ends in the period is counted, and named."""
+def test_decayed_objects_are_reported(
+    data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An object whose SGP4 ends in the period is counted, and named; also where the study is gone
+    on with after its last window."""
     lines = (Path(__file__).resolve().parents[2] / "examples" / "population.tle").read_text()
     first, second = [x for x in lines.splitlines() if x[:2] in ("1 ", "2 ")][:2]
     second = second[:52] + "16.50000000" + second[63:68]
@@ -289,8 +293,16 @@ def test_decayed_objects_are_reported(data: Data, tmp_path: Path) -> None:
     body = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2}
     data["catalogue"] = {"populations": [{"name": "low", "path": "low.tle", "body": body}]}
     data["duration_h"] = 1.0
+    monkeypatch.setattr(run, "page", lambda *_: "")  # pictures take a second
     report = run_study(data, tmp_path, tmp_path / "out", ALONE)
     assert any("SGP4 ends" in note and "FALLING" in note for note in report["notes"])
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "summarise", MagicMock(side_effect=KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            run_study(data, tmp_path, tmp_path / "again", ALONE)
+    on = StudyOptions("synchronous", resume=True)
+    again = run_study(data, tmp_path, tmp_path / "again", on)
+    assert again["notes"] == report["notes"]
 
 
 def test_resume_needs_the_same_study(data: Data, tmp_path: Path) -> None:

@@ -93,6 +93,7 @@ MOTION = '\n[pmra]\nfrom = "m"\nunit = "mas/yr"\n'
         ('from = "alpha"\nunit = "deg"', 'from = "alpha"', "ra.unit: None"),
         ('from = "alpha"', "from = []", "ra.from: [] is not accepted"),
         ('from = "alpha"', "from = 3", "ra.from: 3 is not accepted"),
+        ('from = "alpha"', 'from = ["alpha", ""]', "ra.from: ['alpha', ''] is not accepted"),
         ("[ra]", "[[ra]]\nfrom = 1\n[x]", "ra.from"),
         ("[dec]", "[decl]", "dec: None is not accepted; allowed: a table [dec]"),
         ('[source_id]\nfrom = "id"', "", "source_id.from: None"),

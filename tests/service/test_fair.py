@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import copy
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import httpx
 import psutil
 import pytest
+from fastapi.concurrency import run_in_threadpool
 
+from service.app import create_app
 from service.jobs.shares import IN_LINE, Shares
 from service.problems import TooMany
+from service.settings import Settings
 from tests.service.conftest import SCENE, bearer
 
 MANY = 6000  # targets, whose plan takes some 20 s
@@ -174,6 +179,27 @@ def test_a_line_has_an_end() -> None:
 
     ends = asyncio.run(story())
     assert [k for k, end in enumerate(ends) if end is TooMany] == [2 + IN_LINE]
+
+
+def test_as_many_requests_are_worked_on_at_once_as_there_are_threads(tmp_path: Path) -> None:
+    """Those that block have `request_threads`, whatever the library's own number is."""
+    lock, now, most = threading.Lock(), [], []
+
+    def work() -> None:
+        with lock:
+            now.append(1)
+            most.append(len(now))
+        time.sleep(0.05)
+        with lock:
+            now.pop()
+
+    async def story() -> None:
+        app = create_app(Settings(tmp_path, request_threads=3))
+        async with app.router.lifespan_context(app):
+            await asyncio.gather(*(run_in_threadpool(work) for _ in range(12)))
+
+    asyncio.run(story())
+    assert max(most) == 3
 
 
 def test_a_place_is_given_back_whatever_becomes_of_its_request() -> None:

@@ -8,6 +8,7 @@ import math
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,12 +18,14 @@ from typer.testing import CliRunner
 
 from pipeline.cli import app
 from pipeline.errors import BadInput
+from pipeline.physics.constants import ARCSEC_RAD
+from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.response.responses import CoreClass
 from pipeline.plan.tiles import Tile
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
 from pipeline.studies.scenes import scenes, study
-from pipeline.studies.scenes.exact import _below
+from pipeline.studies.scenes.exact import _below, _bright_places
 from pipeline.studies.scenes.figure import ladder_figure
 from pipeline.studies.scenes.report import report_scenes
 from pipeline.studies.scenes.switches import LARGEST_DOUBLED_PX, _finer_wings
@@ -93,6 +96,23 @@ def test_sources_just_below_a_limit_are_looked_at():
     ]  # fmt: skip
     assert _below([(math.inf, 0.0)], x, y, light_e, tiles)[0] == (120.0, 25.0)
     assert _below([(1.0, 0.0)], x, y, light_e, tiles) == []
+
+
+def test_the_end_of_the_brightest_streak_is_looked_at():
+    """Half its length beside the star, along the row: the field moves eastward, without roll."""
+    data = scenes.with_accuracy(scenes.MAKERS["earth-limb"](True), 0.05, 1e-3, "none")
+    across = {"mode": "rate", "boresight_ra_deg": 192.0, "boresight_dec_deg": 0.0}
+    data |= {"stars": None, "targets": [], "pointing": across | {
+        "rate_ra_arcsec_s": 100.0, "rate_dec_arcsec_s": 0.0}}  # fmt: skip
+    plan = prepare(parse_scene(data)).plan
+    g = plan_geometry(plan.scene, np.array([0]), plan.dut1_s)
+    x, y = plan.camera.centre_px
+    stars = SimpleNamespace(x_px=np.array([x]), y_px=np.array([y]), light_e=np.ones(1))
+    middle, end = _bright_places(SimpleNamespace(plan=plan, g=g, stars=stars))
+    assert middle == (x, y)
+    half_px = 50.0 * plan.integration_s(0) * ARCSEC_RAD / plan.facts.ifov_rad
+    assert abs(end[0] - x) == pytest.approx(half_px, rel=1e-2)
+    assert end[1] == pytest.approx(y, abs=0.01 * half_px)
 
 
 @pytest.mark.parametrize(("spacing_px", "finer_px"), [(16, 8), (3, 2), (2, 2), (0, 0)])
