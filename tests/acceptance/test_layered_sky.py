@@ -216,6 +216,15 @@ def test_stars_of_both_are_counted_once(layered, reference):
     assert resolve(layered()).stars.counts.total == many.max()
 
 
+def test_stars_that_are_looked_at_stand_for_those_that_are_not(layered, monkeypatch):
+    """One of some is placed: about as many are counted as where all are."""
+    every = resolve(layered()).stars.counts
+    monkeypatch.setattr("pipeline.resolve.stars.PLACED", 700)
+    some = resolve(layered()).stars.counts
+    assert len(some.light_e) < 0.4 * len(every.light_e)
+    assert some.total == pytest.approx(every.total, abs=3 * np.sqrt(every.total * some.each))
+
+
 def test_what_is_told(reference, folders):
     """Plan, report and cube name both catalogues; the plan has the rule and how many it took."""
     path, report = reference

@@ -214,6 +214,16 @@ def test_the_floor_of_each_frame_is_that_of_its_own_exposure(scene: Make, photon
     assert (facts.background_e, facts.dark_e) == (14.0, 6.0)
 
 
+def test_the_smear_that_is_told_is_that_of_the_shortest_exposure(scene: Make) -> None:
+    """Charge moves for 0.1 s: a twentieth of the 2 s of some frames, though others take 8 s."""
+    readout = {"kind": "frame_transfer", "transfer_s": 0.1, "towards": "low_rows"}
+    s = scene(LIT | {"dwells": [{"integration_s": [8.0, 2.0], "frames": 2}],
+                     "exposure.cadence_s": None, "sensor.detector": {"readout": readout}})  # fmt: skip
+    plan = plan_from(s, facts_of(s), plan_geometry(s, sampled_frames(s), 0.0))
+    [told] = [d.reason for d in plan.decisions if d.component == "frame_transfer"]
+    assert "0.05 of a column's mean light" in told
+
+
 def test_the_brightest_star_is_looked_for_as_far_around_the_frame_again(scene: Make) -> None:
     """Of a camera at rest: within twice the angle to its corner."""
     s = scene()

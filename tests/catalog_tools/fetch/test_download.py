@@ -223,6 +223,18 @@ def test_part_of_something_else_goes(archive, tmp_path, hasty, junk):
     assert visible(tmp_path) == archive.files
 
 
+@pytest.mark.parametrize("record", ["", '{"tag": null', "{}", "[7]", "7"])
+def test_part_with_a_damaged_record_goes(archive, tmp_path, hasty, record):
+    name = min(archive.files)
+    with folder_for(tmp_path, RELEASES["gaia-dr2"]) as ledger:
+        part = ledger.part(name)
+        part.write_bytes(archive.files[name][:9000])
+        part.with_name(part.name + ".json").write_text(record)
+    bring(archive, tmp_path, hasty)
+    assert [r.range for r in archive.gets(name)] == [None]
+    assert visible(tmp_path) == archive.files
+
+
 def test_content_encoding_is_not_decoded(archive, tmp_path, hasty):
     """Some servers call a .gz file 'Content-Encoding: gzip'; what is stored are its bytes."""
     archive.does.content_encoding = "x-gzip"
