@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+from catalog_tools.verify.verify import VerifyReport
 from pipeline.cli import app
 from pipeline.commands.catalog import make
 from pipeline.errors import BadInput
@@ -95,6 +97,21 @@ def test_options_reach_the_work(monkeypatch, target, words, given, named):
     result = CliRunner().invoke(app, ["catalog", *words.split()])
     assert isinstance(result.exception, Called), result.output
     assert result.exception.args == (given, named)
+
+
+@pytest.mark.parametrize("notes", [(), ("extra files were not looked for",)])
+@pytest.mark.parametrize("as_json", [False, True])
+def test_what_verify_could_not_look_at_is_told(monkeypatch, notes, as_json):
+    """At a terminal only where there is something to tell."""
+    prove = "pipeline.commands.catalog.prove"
+    monkeypatch.setattr(f"{prove}.open_catalogue", Path)
+    monkeypatch.setattr(f"{prove}.run", lambda *_, **__: VerifyReport("y", 1, 1, 9, 99, (), notes))
+    words = ["catalog", "verify", "y", *(["--json"] if as_json else [])]
+    told = CliRunner().invoke(app, words).stdout
+    if as_json:
+        assert json.loads(told)["notes"] == list(notes)
+    else:
+        assert [note in told for note in ("notes", *notes)] == [bool(notes)] * (1 + len(notes))
 
 
 @pytest.mark.parametrize("text", ["GiB", "", " ", "-1GiB", "much", "2 apples", "1e999GB", "nan"])

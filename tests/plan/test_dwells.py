@@ -216,9 +216,9 @@ def test_the_floor_of_each_frame_is_that_of_its_own_exposure(scene: Make, photon
 
 def test_the_smear_that_is_told_is_that_of_the_shortest_exposure(scene: Make) -> None:
     """Charge moves for 0.1 s: a twentieth of the 2 s of some frames, though others take 8 s."""
-    readout = {"kind": "frame_transfer", "transfer_s": 0.1, "towards": "low_rows"}
+    detector = {"readout": {"kind": "frame_transfer", "transfer_s": 0.1, "towards": "low_rows"}}
     s = scene(LIT | {"dwells": [{"integration_s": [8.0, 2.0], "frames": 2}],
-                     "exposure.cadence_s": None, "sensor.detector": {"readout": readout}})  # fmt: skip
+                     "exposure.cadence_s": None, "sensor.detector": detector})  # fmt: skip
     plan = plan_from(s, facts_of(s), plan_geometry(s, sampled_frames(s), 0.0))
     [told] = [d.reason for d in plan.decisions if d.component == "frame_transfer"]
     assert "0.05 of a column's mean light" in told
