@@ -100,8 +100,13 @@ def test_observations_begin_in_their_step(made: Made) -> None:
         assert (start[1:] - [r["time_s"] for r in own[:-1]]).min() > -1e-2
 
 
-def test_gaps_are_counted_by_orbit(made: Made) -> None:
-    """What the page draws: how many gaps of the objects of each orbit are how long."""
+@pytest.mark.parametrize("together", [7, 10**6])
+def test_gaps_are_counted_by_orbit(
+    made: Made, monkeypatch: pytest.MonkeyPatch, together: int
+) -> None:
+    """What the page draws: how many gaps of the objects of each orbit are how long, also where
+    objects are looked at group by group."""
+    monkeypatch.setattr(results, "MOST_DETECTIONS", together)
     files = sorted((made.folder / "observations").glob("*.parquet"))
     objects, end = made.table("objects"), HOURS * 3600.0
     counts = np.array([[o[n] for o in objects] for n in ("observations", "detections")])
