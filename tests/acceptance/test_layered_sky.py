@@ -225,6 +225,16 @@ def test_stars_that_are_looked_at_stand_for_those_that_are_not(layered, monkeypa
     assert some.total == pytest.approx(every.total, abs=3 * np.sqrt(every.total * some.each))
 
 
+def test_stars_are_not_looked_for_in_frames_without_light(layered):
+    """Of two bias frames: the plan is of the stars of the third, as where that is all there is."""
+    some = {"integration_s": [0.0, 0.0, 2.0], "frames": 3, "cadence_s": 40.0}
+    data = layered().as_dict() | {"exposure": {"integration_s": 2.0}, "dwells": [some]}
+    found = resolve(parse_scene(data)).stars.counts
+    assert found.light_e.min() > 0.0
+    alone = resolve(layered(exposure={"frames": 1})).stars.counts
+    assert found.total == pytest.approx(alone.total, rel=0.05)
+
+
 def test_what_is_told(reference, folders):
     """Plan, report and cube name both catalogues; the plan has the rule and how many it took."""
     path, report = reference

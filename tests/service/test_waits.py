@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from contextlib import nullcontext
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import AsyncMock
 
 import pytest
 
@@ -15,6 +18,8 @@ from service.jobs.changes import Changes
 from service.jobs.jobs import Phase
 from service.jobs.views import etag
 from service.routes.jobs import watch
+from service.settings import Settings
+from service.standards import ogc
 from service.standards.uws import _wait
 from tests.service.jobs.test_jobs import shown
 
@@ -98,6 +103,24 @@ def test_a_watch_waits_for_a_change_of_what_is_known(
         assert service.until == pytest.approx(ends, abs=20.0)
         assert answer.status_code == (304 if tag == etag(service.jobs[0]) else 200)
         assert answer.headers["etag"] == etag(service.jobs[0])
+
+    asyncio.run(talk())
+
+
+def test_a_plan_may_take_longer_than_other_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`plan_s`, and its answer's time."""
+    scene: Any = SimpleNamespace(as_dict=dict, name="small")
+    monkeypatch.setattr(ogc, "read_body", AsyncMock(return_value=b"{}"))
+    monkeypatch.setattr(ogc, "_accept", lambda *_: ({}, scene))
+
+    async def talk() -> None:
+        service: Any = Waited([P.QUEUED])
+        service.settings = Settings(Path(), plan_s=70.0, answer_s=ANSWER_S)
+        service.looks = SimpleNamespace(plan=AsyncMock(return_value={"tiles": 2}))
+        now_s = asyncio.get_running_loop().time()
+        answer = await ogc.execute(service.request, service, "plan")
+        assert (answer.status_code, json.loads(answer.body)) == (200, {"plan": {"tiles": 2}})
+        assert service.until == pytest.approx([now_s + 70.0 + ANSWER_S], abs=20.0)
 
     asyncio.run(talk())
 

@@ -60,6 +60,17 @@ def test_a_field_visited_once_among_many_dwells(away: dict[str, Any], tmp_path: 
     np.testing.assert_array_equal(frames, [0, 109, 110, 111, 149])
 
 
+def test_of_too_many_fields_some_are_looked_at_from_the_first_to_the_last(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Of the five between which the view turns: the first, the middle one and the last."""
+    dwells = [{"frames": 1, "pointing": THERE if k == 110 else HERE} for k in range(150)]
+    monkeypatch.setattr("pipeline.plan.sky.sky.MOST_FIELDS", 3)
+    found = sky(scene(dwells=dwells), tmp_path / "many")
+    alone = [sky(scene(pointing=p), tmp_path / "one")[0] for p in (HERE, THERE, HERE)]
+    assert found[[0, 110, 149]] == pytest.approx(alone, rel=1e-4)
+
+
 def test_a_dwell_near_the_sun_among_many_is_refused() -> None:
     sensor = scene()["sensor"] | {"sun_exclusion_deg": 30.0}
     to_sun = [np.degrees(np.arctan2(0.75, 0.65)), np.degrees(np.arcsin(0.33 / 1.05))]
