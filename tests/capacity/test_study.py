@@ -271,6 +271,7 @@ def test_a_sensor_without_a_night_is_reported_and_the_others_look(
     idle = [n for n in report["notes"] if "looks nowhere" in n]
     assert [n.split()[0] for n in idle] == ["one", "cloudy"]
     assert "-12 (never dark enough)" in idle[0]
+    assert "no clear dark hour in the period" in idle[1]
     rows = pq.read_table(tmp_path / "out" / "sensors.parquet").to_pylist()
     assert [r["observations"] > 0 for r in rows] == [False, False, True, False]
     assert [r["open_h"] > 0 for r in rows] == [False, False, True, False]

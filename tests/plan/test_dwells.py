@@ -28,6 +28,7 @@ from pipeline.plan.timing import (
     integration_s,
     longest_s,
 )
+from pipeline.route.finish import _empty_noise
 from pipeline.spec.load import InvalidScene
 from pipeline.spec.scene import Scene
 from tests.plan.test_plan import facts_of
@@ -212,6 +213,17 @@ def test_the_floor_of_each_frame_is_that_of_its_own_exposure(scene: Make, photon
         assert plan.snr_floor_e2(frame, *np.zeros((2, 1))) == pytest.approx(told, rel=1e-12)
     assert facts.sigma_floor_e == plan.floor_e(1)
     assert (facts.background_e, facts.dark_e) == (14.0, 6.0)
+
+
+def test_the_report_has_the_noise_of_every_frame_where_one_differs(scene: Make) -> None:
+    """Also where that of others is the floor: it is of the frames in order, or not there."""
+    for times in ([4.0, 2.0], [2.0, 2.0]):
+        s = scene(LIT | {"dwells": [{"integration_s": times, "frames": 2}],
+                         "exposure.cadence_s": None})  # fmt: skip
+        plan = plan_from(s, facts_of(s), plan_geometry(s, sampled_frames(s), 0.0))
+        noise = [np.sqrt(10.0 * t + 5.0**2 + 6.0**2 / 12.0) for t in times]
+        told = {"empty_noise_e": pytest.approx(noise, rel=1e-5)} if times[0] > 2.0 else {}
+        assert _empty_noise(plan) == told
 
 
 def test_the_smear_that_is_told_is_that_of_the_shortest_exposure(scene: Make) -> None:

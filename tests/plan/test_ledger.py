@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -68,3 +69,14 @@ def test_page_and_unknown_names():
     assert "| 1 sigma (`stars`) | 0.5 sigma | 2 |" in told
     assert "| `stars` | s | 1 sigma | 0.5 sigma | 2 |" in told
     assert rule_of("no such thing") is None
+
+
+def test_rows_of_the_page_have_as_many_cells_as_their_head():
+    """Of rules that were measured and of those that were not."""
+    rows = json.loads((ROOT / "docs" / "measured.json").read_text())["rules"]
+    for measured in ([], rows[:3]):
+        tables = page(measured).split("| --- |\n")[1:]
+        assert len(tables) == 1 + bool(measured)
+        for table, cells in zip(tables, (6, 5), strict=False):
+            lines = table.split("\n\n")[0].splitlines()
+            assert {len(re.findall(r"(?<!\\)\|", line)) for line in lines} == {cells + 1}
