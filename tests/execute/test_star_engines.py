@@ -23,9 +23,15 @@ from pipeline.plan.facts import gather_facts
 from pipeline.plan.ledger import LEDGER
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.response.responses import CoreClass
 from pipeline.plan.response.streaks import POINTS, SHOWN
 from pipeline.plan.rule import PlanBasis
-from pipeline.plan.stars.engines import POINT_ROUNDING, choose_engines, cubic_bound
+from pipeline.plan.stars.engines import (
+    POINT_ROUNDING,
+    _said_of_bright,
+    choose_engines,
+    cubic_bound,
+)
 from pipeline.plan.stars.field_stars import StarCounts
 from pipeline.plan.tiles import Tile
 from pipeline.spec.load import parse_scene
@@ -228,3 +234,14 @@ def test_counts_add_up(lights, each, edges):
     edges = [0.0, *sorted(edges), np.inf]
     parts = [counts.between(a, b) for a, b in pairwise(edges)]
     assert parts == [each * sum(a < e <= b for e in lights) for a, b in pairwise(edges)]
+
+
+def test_bright_streaks_are_told_by_how_they_are_drawn():
+    """So many in more pieces, so many by themselves, and none of what there is not."""
+    core = CoreClass(12.0, 1e5, 1e5, 0.0, 0.0, 8)
+    pieces = "about 3 bright streaks with cores of 12 px in more segments"
+    own = "about 7 bright streaks with cores of 12 px each along its own path"
+    points = f"{own}, as points of a table of 64 phases"
+    assert _said_of_bright(core, 3.2, 7.4, 64) == [pieces, points]
+    assert _said_of_bright(core, 0.4, 7.4, 0) == [own]
+    assert _said_of_bright(core, 2.6, 0.4, 64) == [pieces]

@@ -13,10 +13,11 @@ from PIL import Image
 
 from pipeline.errors import BadInput
 from pipeline.export.files import export_frames
+from pipeline.export.header import fits_header
 from pipeline.export.picture import shrink, stretch
 from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
-from pipeline.store.cube import read_layer
+from pipeline.store.cube import open_cube, read_layer
 
 SCENE = {
     "schema": "nightglass/scene/1",
@@ -160,3 +161,13 @@ def test_pictures_of_flat_and_tiny_images():
     assert small.shape[1] <= 5000
     assert factor >= 1
     assert shrink(np.ones((3000, 3000)))[0].shape == (1000, 1000)
+
+
+def test_texts_of_a_header_fit_their_cards(product):
+    """Also where a scene's name and the path of its catalogue do not."""
+    with open_cube(product) as cube:
+        texts = {"title": "night " * 40, "catalogue": "/sky" * 40, "catalogue_digest": "e" * 64}
+        cards = fits_header(cube.assign_attrs(texts), 0, "dn")
+    given = {key: value for key, value, _ in cards}
+    assert given["CATALOG"].startswith("/sky/sky")
+    assert {len(fits.Card(key, value).image) for key, value in given.items()} == {80}

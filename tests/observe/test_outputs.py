@@ -208,17 +208,20 @@ def test_a_sky_that_fills_the_pixels_hides_all() -> None:
 
 def test_each_frame_is_full_or_not_by_its_own_time() -> None:
     """A first frame that its dark current fills, beside one of a hundredth of its time."""
-    for times_s in ([2.0, 0.02], [0.02, 2.0]):
+    for times_s in ([2.0, 0.02], [0.02, 2.0], [0.02, 2.0, 0.02, 2.0, 2.0]):
         sensor = night()["sensor"] | {"full_well_e": 5e4, "dark_e_per_s": 3e4}
-        dwell = {"integration_s": times_s, "frames": 2, "cadence_s": 20.0}
+        dwell = {"integration_s": times_s, "frames": len(times_s), "cadence_s": 20.0}
         scene = parse_scene(night(sensor=sensor, exposure={"integration_s": 1.0}, dwells=[dwell]))
         full = times_s.index(2.0)
         seen = [r["seen"] for r in observe(scene).table.to_pylist() if r["name"] == "ball"]
         assert seen[full] == "sky fills the pixels"
         assert seen[1 - full] == "too faint"  # in so short a time
+        others = times_s.count(2.0) - 1
         [warned] = [w for w in plan_scene(scene)["warnings"] if "no source shows" in w]
         assert f"in frame {full}," in warned
         assert "6.69e+04 e-" in warned  # 6e4 of them dark charge
+        more = f"there, and in {others} more of {len(times_s)} frames looked at"
+        assert (more in warned, "more of" in warned) == (others > 0, others > 0)
 
 
 @pytest.mark.parametrize("bend", [0.3, -0.3])

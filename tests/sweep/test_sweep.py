@@ -488,7 +488,9 @@ def test_the_summary_and_the_seal_by_hand(tmp_path):
     rows = {"point": range(5), "a": values, "seed": [0] * 5, "status": failed, "message": messages,
             "content_digest": ["x"] * 5, "sky_e": [7.0, None, 2.0, None, None]}  # fmt: skip
     pq.write_table(pa.table(rows), tmp_path / "points.parquet")
-    report = summarise(wish, tmp_path, ("t",), {"seconds": 1.0, "warnings": []})
+    doubts = ["G < 9 & more"]
+    report = summarise(wish, tmp_path, ("t",), {"seconds": 1.0, "warnings": doubts})
+    assert "</b>: G &lt; 9 &amp; more</p>" in (tmp_path / "summary.html").read_text()
     assert report["metrics"] == {"sky_e": {"known": 2, "least": 2.0, "mean": 4.5, "largest": 7.0}}
     assert (report["points"], report["failed"]) == (5, 3)
     assert list(report["messages"].items()) == [("bad", 2), ("rare", 1)]

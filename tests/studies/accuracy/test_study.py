@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from pipeline.cli import app
 from pipeline.errors import BadInput
 from pipeline.studies.accuracy import figure, study
 from pipeline.studies.accuracy.engines import EngineCase
@@ -184,3 +186,16 @@ def test_the_front_runs_through_the_points_as_they_are_drawn() -> None:
     figure._panel(ax, rows, "a", 0.0)
     stairs, rings, points, _ = (line.get_xydata().tolist() for line in ax.get_lines())
     assert stairs == rings == points == [[1, 1e-3], [2, 1e-6], [3, 1e-10], [4, 1e-10]]
+
+
+@pytest.mark.parametrize("peers", [True, False])
+def test_options_of_the_command(monkeypatch: pytest.MonkeyPatch, peers: bool) -> None:
+    asked: list[Any] = []
+    monkeypatch.setattr("pipeline.commands.studies.accuracy.accuracy.report_accuracy",
+                        lambda *given, **named: asked.append((given, named)) or {})  # fmt: skip
+    words = "report accuracy -o x --stars 9 --quick --satsim-python y --json --"
+    done = CliRunner().invoke(app, (words + ("peers" if peers else "no-peers")).split())
+    assert done.exit_code == 0, done.output
+    [(given, named)] = asked
+    assert given == (Path("x"), 9)
+    assert (named["quick"], named["peers"], named["satsim_python"]) == (True, peers, "y")

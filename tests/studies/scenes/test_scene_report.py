@@ -181,6 +181,19 @@ def test_bad_input_is_one_message(options, said, tmp_path):
     assert not (tmp_path / "new").exists()
 
 
+def test_scenes_and_levels_of_the_command(monkeypatch, tmp_path):
+    """They reach the study, where a scene that is named twice is one."""
+    asked = []
+    monkeypatch.setattr("pipeline.commands.studies.scenes.scenes.report_scenes",
+                        lambda *given: asked.append(given[:5]) or {})  # fmt: skip
+    words = ["--scene", "wide-field", "--scene", "earth-limb", "--levels", "0.5,0.05", "--json"]
+    done = CliRunner().invoke(app, ["report", "scenes", "-o", str(tmp_path), *words])
+    assert done.exit_code == 0, done.output
+    names = ("wide-field", "earth-limb")
+    assert asked == [(tmp_path, names, "0.5,0.05", False, None)]
+    assert [r.name for r in scenes.requests((*names, "wide-field"), True)] == list(names)
+
+
 def test_a_folder_that_is_not_empty_is_refused(tmp_path):
     (tmp_path / "old.txt").write_text("kept")
     with pytest.raises(BadInput, match="new or empty"):
