@@ -157,7 +157,7 @@ def _messages(path: Path, kind: str, field: str) -> Iterator[JsonObject]:
     """The keys and values of each OMM of a file."""
     if kind == "other":
         for key, elements in read_omm(path, field).items():
-            name, _, number = (key.split(" | ") + ["", ""])[:3]
+            name, _, number = key.rsplit(" | ", 2)  # a name may hold the sign itself
             yield {"OBJECT_NAME": name, "NORAD_CAT_ID": number, "elements": elements}
         return
     with path.open(encoding="utf-8-sig", newline="") as stream:

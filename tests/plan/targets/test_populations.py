@@ -183,6 +183,19 @@ def test_against_other_kinds_of_file(lines: list[list[str]], tle: Path, tmp_path
         assert kept(scene(tmp_path / name)) == wanted, name
 
 
+def test_a_name_with_the_sign_between_names_stays_whole(
+    lines: list[list[str]], tmp_path: Path
+) -> None:
+    """Its catalogue number too, whatever kind of file it stands in."""
+    _, a, b = lines[0]
+    omm = exporter.export_omm(Satrec.twoline2rv(a, b), "ONE | TWO")
+    (tmp_path / "a.json").write_text(json.dumps([omm]))
+    (tmp_path / "c.kvn").write_text("".join(f"{k} = {v}\n" for k, v in omm.items()))
+    for file in ("a.json", "c.kvn"):
+        [[found]] = population_files.element_sets(tmp_path / file, "f")
+        assert (found.name, found.number) == ("ONE | TWO", int(a[2:7]))
+
+
 @pytest.mark.parametrize("read", [1200, 1201, 5000, 1_000_000])
 def test_json_is_read_in_parts(
     read: int, lines: list[list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
