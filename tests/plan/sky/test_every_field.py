@@ -97,8 +97,15 @@ def test_a_dwell_near_the_sun_among_many_is_refused() -> None:
                          "rate_ra_arcsec_s": 0.0, "rate_dec_arcsec_s": 900.0},
             "exposure": {"integration_s": 60.0},
         },
+        # Stars that set, behind ever more air.
+        {
+            "observer": {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3,
+                         "atmosphere": {"extinction": True}},
+            "pointing": HERE | {"boresight_ra_deg": 141.0, "boresight_dec_deg": 0.0},
+            "exposure": {"integration_s": 2400.0},
+        },
     ],
-    ids=["stray light", "scan"],
+    ids=["stray light", "scan", "setting"],
 )  # fmt: skip
 def test_an_exposure_is_the_sum_of_short_ones(more: dict[str, Any], tmp_path: Path) -> None:
     data = scene(**more)
