@@ -47,7 +47,11 @@ def test_an_error_above_the_bound_is_exit_5(
         return 0.9 * image, sources
 
     monkeypatch.setattr(check, "reference", dimmer)
-    said = nightglass("render", scene, "-o", tmp_path / "run", "--scheduler", "synchronous")
+    alone = "--scheduler", "synchronous"
+    part = nightglass("render", scene, "-o", tmp_path / "part", *alone, "--part", "1/1")
+    assert part.returncode == 5
+    assert "and with it the product" in part.stdout
+    said = nightglass("render", scene, "-o", tmp_path / "run", *alone)
     assert said.returncode == 5
     assert said.stdout.startswith("WARNING: pixels were found to err by")
     report = json.loads((tmp_path / "run" / "report.json").read_text())

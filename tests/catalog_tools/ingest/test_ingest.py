@@ -151,6 +151,19 @@ def test_every_row_is_accounted_for(tmp_path):
     assert info(report.catalogue)["rejected"] == report.rejected
 
 
+def test_rejected_rows_have_the_numbers_of_their_own_files(tmp_path):
+    """Of rows below each head, however many there are in the files before."""
+    for name, wrong in (("a", 1), ("b", 3), ("c", 0)):
+        rows = [f"{ord(name)}{k},{30 * k},10,{12 if k != wrong else 'nan'}" for k in range(5)]
+        (tmp_path / f"{name}.csv").write_text("\n".join([HEAD, *rows]) + "\n")
+    ingest([tmp_path / f"{name}.csv" for name in "abc"], tmp_path / "out", workers=1)
+    rejected = pq.read_table(tmp_path / "out" / REJECTS_NAME).to_pylist()
+    first = min(r["row"] for r in rejected)
+    told = sorted((r["source"], r["row"] - first) for r in rejected)
+    assert told == [("a.csv", 1), ("b.csv", 3), ("c.csv", 0)]
+
+
+
 def test_same_duplicates_stay_for_any_order_of_files(tmp_path):
     stars = random_stars(500, 2)
     write_csv(tmp_path / "a.csv", stars)
