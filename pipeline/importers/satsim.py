@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,7 +142,6 @@ def _digital(f: Fields) -> JsonObject:
         raise BadInput("fpa.a2d.dtype", kind, ", ".join(ADC_BITS))
     return {
         "gain_e_per_dn": f.number("fpa.a2d.gain", 1e-9, 1e9),
-        "full_well_e": f.number("fpa.a2d.fwc", 1, 1e15),
         "adc_bits": ADC_BITS[kind],
     }
 
@@ -153,7 +153,7 @@ def _maps(
     name: str,
     notes: Notes,
 ) -> JsonObject:
-    """Dark current, flat and bias: numbers, or images written beside the scene."""
+    """Dark current, flat and bias, numbers or images written beside the scene; the full well."""
     gain = f.number("fpa.a2d.gain", 1e-9, 1e9)
     offset = f.number("fpa.a2d.bias", -1e9, 1e9, 0.0)
     bias = f.get("fpa.bias", 0.0)
@@ -166,7 +166,7 @@ def _maps(
         f"bias of {float(np.median(bias)):.4g} e- and a2d.bias of {offset:g} DN: "
         f"{float(np.median(values['bias_dn'])):.5g} DN"
     )
-    out: JsonObject = {}
+    out: JsonObject = {"full_well_e": _full_well(f, bias, offset * gain, notes)}
     for key, value in values.items():
         if isinstance(value, np.ndarray):
             if value.shape != shape:
@@ -178,6 +178,16 @@ def _maps(
         else:
             raise BadInput(f"fpa ({key})", value, "a number or $sample")
     return out
+
+
+def _full_well(f: Fields, bias_e: Any, offset_e: float, notes: Notes) -> float:
+    """Charge that fills a pixel: SatSim cuts off at `fwc` what it has added both biases to."""
+    most = f.number("fpa.a2d.fwc", 1, 1e15)
+    added = float(np.median(bias_e)) + offset_e
+    if added >= most:
+        raise BadInput("fpa.a2d.fwc", most, f"more than the biases of {added:g} e-, which it holds")
+    notes.converted.append(f"a2d.fwc {most:g} e- with the biases: {most - added:g} e- of charge")
+    return most - added
 
 
 def _exposure(f: Fields) -> JsonObject:

@@ -17,6 +17,7 @@ from pipeline.importers.placing import far_observer
 from pipeline.importers.satsim import read_satsim, sphere_mag
 from pipeline.importers.satsim_values import settled
 from pipeline.importers.simsit import radial_terms, read_simsit
+from pipeline.opened_product import open_product
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, star_paths
 from pipeline.route.prepare import plan_scene
 from pipeline.route.run import render
@@ -176,6 +177,19 @@ def test_speeds_in_arcsec_are_told_in_pixels(satsim, y_fov, row_px_s):
         satsim({"sim.velocity_units": "mrad"})
 
 
+def test_a_full_well_holds_the_bias_too(satsim, tmp_path):
+    """SatSim adds 600 e- and 1500 DN of 1.5 e- before it cuts off at 30,000 e-: 20,000 DN."""
+    line = {"mode": "line", "origin": [0.5, 0.5], "velocity": [0, 0], "mv": 3}
+    a2d = {"response": "linear", "fwc": 30_000, "gain": 1.5, "bias": 1500}
+    changes = {"fpa.a2d": a2d, "fpa.bias": 600, "geometry.obs.list": [line], "fpa.num_frames": 1}
+    silent = {"fpa.noise": {"read": 0, "electronic": 0}}
+    satsim(changes | silent).write(tmp_path / "scene.yaml")
+    render(load_scene(tmp_path / "scene.yaml"), tmp_path / "run")
+    assert open_product(tmp_path / "run").cube["dn"].values.max() == 20_000
+    with pytest.raises(BadInput, match=r"fpa\.a2d\.fwc: 2850.0 .* more than the biases of 2850 e-"):
+        satsim(changes | {"fpa.a2d": a2d | {"fwc": 2850}})
+
+
 def test_shot_noise_is_switched_off_as_the_file_says(satsim):
     assert "photon_noise" not in satsim({"sim.enable_shot_noise": True}).data["sensor"]
     found = satsim({"sim.enable_shot_noise": False, "sim.num_shot_noise_samples": 30})
@@ -301,7 +315,7 @@ def test_a_satsim_sensor_is_what_the_file_says(published):
     """Noise terms add in quadrature; `eod` of the light falls on the pixel in its centre."""
     data = read_satsim(published / "peers" / "satsim.json", EPOCH).data
     sensor = data["sensor"]
-    told = {"shape": [80, 120], "read_noise_e": 10.0, "full_well_e": 90_000.0, "adc_bits": 16,
+    told = {"shape": [80, 120], "read_noise_e": 10.0, "full_well_e": 89_922.5, "adc_bits": 16,
             "gain_e_per_dn": 2.5, "dark_e_per_s": 12.0, "flat": 1.0, "bias_dn": 31.0}  # fmt: skip
     assert {k: sensor[k] for k in told} == told
     assert erf(0.5 / (math.sqrt(2) * sensor["psf"]["sigma_px"])) ** 2 == pytest.approx(0.4)
