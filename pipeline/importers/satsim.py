@@ -157,10 +157,12 @@ def _maps(
     gain = f.number("fpa.a2d.gain", 1e-9, 1e9)
     offset = f.number("fpa.a2d.bias", -1e9, 1e9, 0.0)
     bias = f.get("fpa.bias", 0.0)
+    if isinstance(bias, bool) or not isinstance(bias, int | float | np.ndarray):
+        raise BadInput("fpa.bias", bias, "a number or $sample")
     values = {
         "dark_e_per_s": f.get("fpa.dark_current", 0.0),
         "flat": f.get("fpa.gain", 1.0),
-        "bias_dn": bias / gain + offset if not isinstance(bias, str) else bias,
+        "bias_dn": bias / gain + offset,
     }
     notes.converted.append(
         f"bias of {float(np.median(bias)):.4g} e- and a2d.bias of {offset:g} DN: "
@@ -205,7 +207,7 @@ def _pointing(f: Fields, sensor: JsonObject, notes: Notes) -> JsonObject:
         return {"mode": "sidereal", **at}
     mode = f.get("geometry.stars.motion.mode")
     if mode not in ("affine", "affine-polar", "none"):
-        raise BadInput("geometry.stars.motion.mode", mode, "affine")
+        raise BadInput("geometry.stars.motion.mode", mode, "affine, affine-polar or none")
     if mode == "none":
         return {"mode": "sidereal", **at}
     rotation = f.number("geometry.stars.motion.rotation", -1e3, 1e3, 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -84,13 +85,12 @@ def _choice(_: str, value: Node, rng: np.random.Generator, told: list[str], wher
 def _numbers(kind: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:
     given = [settled(value.get(k), rng, told, f"{where}.{k}") for k in KNOWN[kind]]
     size = value.get("size")
-    if isinstance(size, list) and (
-        not all(isinstance(n, int) for n in size) or not 0 < np.prod(size) <= MOST
-    ):
+    each = size if isinstance(size, list) else [1 if size is None else size]
+    if not all(type(n) is int and n > 0 for n in each) or math.prod(each) > MOST:
         raise BadInput(f"{where}.size", size, f"whole numbers, up to {MOST} in all")
-    if "seed" in value:
-        rng = np.random.default_rng(value["seed"])
     try:
+        if "seed" in value:
+            rng = np.random.default_rng(value["seed"])
         out = getattr(rng, "integers" if kind == "randint" else kind)(*given, size=size)
     except (ValueError, TypeError) as error:
         raise BadInput(where, given, str(error)) from None

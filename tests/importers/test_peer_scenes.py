@@ -344,6 +344,17 @@ def test_chance_without_a_choice_gives_the_value(given, wanted):
     assert settled(given, np.random.default_rng(1), []) == wanted
 
 
+@pytest.mark.parametrize(
+    ("given", "field"),
+    [({"size": 10**11}, "a.size"), ({"size": "5"}, "a.size"), ({"seed": "q"}, "a")],
+)
+def test_samples_that_cannot_be_drawn_are_named(given, field):
+    value = {"$sample": "random.uniform", "low": 0.0, "high": 1.0} | given
+    with pytest.raises(BadInput) as caught:
+        settled(value, np.random.default_rng(1), [], "a")
+    assert caught.value.field == field
+
+
 def test_what_chance_chose_is_told_by_its_place():
     """Each draw with its field, also of what is drawn in a list or by a choice; 6 digits."""
     third = {"$sample": "random.normal", "loc": 1.0 / 3.0, "scale": 0.0}
@@ -442,7 +453,8 @@ def test_limits_bad_satsim_files(tmp_path, published):
         ("geometry.obs.list", [{"mode": "line", "origin": [0], "velocity": [0, 0], "mv": 1}]),
         ("geometry.obs.list", [{"mode": "line", "origin": [0, 0], "velocity": [0, 0]}]),
         ("geometry.stars.motion.translation", [float("nan"), 0]),
-        ("fpa.gain", {"$generator": "x"}),
+        ("fpa.gain", {"$generator": "x"}), ("fpa.bias", "x"), ("fpa.bias", [1]),
+        ("fpa.bias", {"a": 1}),
     ]  # fmt: skip
     for key, value in cases:
         data = json.loads(json.dumps(good))
