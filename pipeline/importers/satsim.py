@@ -16,6 +16,7 @@ from pipeline.errors import BadInput
 from pipeline.importers.imported import Fields, Imported, Notes, read_bytes, scene_name
 from pipeline.importers.placing import Wanted, electrons_of_sunlight, far_observer, place
 from pipeline.importers.satsim_values import settled
+from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 
 Images = dict[str, NDArray[np.float32]]  # by the names of their files
@@ -32,7 +33,8 @@ TRUTH = ("mv_truth", "pe_truth")  # of an object: what comes out
 def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int = 0) -> Imported:
     """A SatSim file as a scene.
 
-    epoch : UTC of the first exposure, which such files do not have; catalogue : for its stars
+    epoch : UTC of the first exposure, where the file has no geometry.time
+    catalogue : for its stars
     seed : of what the file leaves to chance ($sample), drawn once
     Raises BadInput that names the key of the file.
     """
@@ -48,14 +50,16 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
     images: Images = {}
     sensor = _sensor(fields, notes, images, scene_name(path))
     exposure = _exposure(fields)
+    epoch = _epoch(fields, epoch, notes)
+    ra_deg, dec_deg = _boresight(fields, notes)
     data: JsonObject = {
         "schema": "nightglass/scene/1",
         "name": scene_name(path),
         "epoch": epoch,
         "seed": seed,
-        "observer": far_observer(RA_DEG, DEC_DEG),
+        "observer": far_observer(ra_deg, dec_deg),
         "sensor": sensor,
-        "pointing": _pointing(fields, sensor, notes),
+        "pointing": _pointing(fields, (ra_deg, dec_deg), sensor, notes),
         "exposure": exposure,
         "output": {"layers": ["dn", "mean_e", "targets_e"]},
     }
@@ -67,7 +71,7 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
     wanted = _targets(fields, sensor["shape"], zero, notes)
     notes.assumed += [
         f"epoch {epoch}; an observer {1e-3 * 1e9:.0f} km from the Earth that looks at RA "
-        f"{RA_DEG:g}, Dec {DEC_DEG:g} deg: the file places targets on pixels, not in space",
+        f"{ra_deg:g}, Dec {dec_deg:g} deg: the file places targets on pixels, not in space",
         f"a pixel pitch of {PITCH_UM:g} um, with the focal length that gives the field of view",
         "band bessell-V, with the aperture that gives the zero point to a star like the Sun",
     ]
@@ -199,10 +203,44 @@ def _exposure(f: Fields) -> JsonObject:
     return {"integration_s": seconds, "frames": frames, "cadence_s": seconds + gap}
 
 
-def _pointing(f: Fields, sensor: JsonObject, notes: Notes) -> JsonObject:
+def _epoch(f: Fields, epoch: str, notes: Notes) -> str:
+    """UTC of the first exposure: the file's [year, month, day, hour, minute, second], if any."""
+    if not f.has("geometry.time"):
+        return epoch
+    *whole, seconds = f.pair("geometry.time", 6)
+    if any(value % 1 for value in whole):
+        raise BadInput("geometry.time", whole, "whole numbers but for the seconds")
+    year, month, day, hour, minute = map(int, whole)
+    text = f"{year:04d}-{month:02d}-{day:02d}T{hour:02d}:{minute:02d}:{seconds:09.6f}Z"
+    parse_utc(text, "geometry.time")
+    notes.converted.append(f"geometry.time: epoch {text}")
+    return text
+
+
+def _boresight(f: Fields, notes: Notes) -> tuple[float, float]:
+    """Where SatSim looks in its star catalogue [deg]; elsewhere a place of ours."""
+    if f.get("geometry.site") is not None:
+        notes.left_out.append("geometry.site: the focal plane alone; give it observer and pointing")
+        return RA_DEG, DEC_DEG
+    if f.get("geometry.stars.mode") not in ("sstr7", "csv"):
+        return RA_DEG, DEC_DEG
+    ra_deg = f.number("geometry.stars.ra", -360, 360, 0.0) % 360.0
+    dec_deg = f.number("geometry.stars.dec", -90, 90, 0.0)
+    notes.converted.append(f"stars about RA {ra_deg:g}, Dec {dec_deg:g} deg: the boresight")
+    turn = f.number("geometry.stars.rotation", -360, 360, 0.0)
+    notes.left_out.append(
+        f"geometry.stars.rotation {turn:g} deg: +y is north; SatSim's columns grow with right "
+        "ascension unless it flips them, a scene's against it"
+    )
+    return ra_deg, dec_deg
+
+
+def _pointing(
+    f: Fields, boresight_deg: tuple[float, float], sensor: JsonObject, notes: Notes
+) -> JsonObject:
     """Stars that move by so many pixels a second are a boresight that moves the other way."""
     step = math.degrees(sensor["pixel_pitch_um"] * 1e-6 / sensor["focal_length_m"]) * 3600
-    at = {"boresight_ra_deg": RA_DEG, "boresight_dec_deg": DEC_DEG}
+    at = dict(zip(("boresight_ra_deg", "boresight_dec_deg"), boresight_deg, strict=True))
     if not f.has("geometry.stars.motion"):
         return {"mode": "sidereal", **at}
     mode = f.get("geometry.stars.motion.mode")
@@ -284,11 +322,13 @@ def _stray(f: Fields, notes: Notes) -> float:
 
 def _stars(f: Fields, catalogue: str | None, data: JsonObject, notes: Notes) -> None:
     mode, density = f.get("geometry.stars.mode"), f.get("geometry.stars.mv.density", [])
-    for key in ("mv", "motion", "pad"):
+    for key in ("mv", "motion", "pad", "path"):
         f.get(f"geometry.stars.{key}")
     if catalogue is not None:
         data["stars"] = {"catalogue": catalogue}
         notes.assumed.append(f"stars of {catalogue}")
+    elif mode in ("sstr7", "csv"):
+        notes.left_out.append(f"geometry.stars: those of mode {mode}; give a --catalogue")
     if mode == "bins":
         if not isinstance(density, list):
             raise BadInput("geometry.stars.mv.density", density, "a list of numbers")

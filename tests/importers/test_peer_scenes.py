@@ -147,6 +147,12 @@ def satsim(published, tmp_path):
     return read_changed
 
 
+def targets_px(imported):
+    """Places of targets in the first frame, columns and rows."""
+    g = plan_geometry(parse_scene(imported.data), np.zeros(1, np.int64), 0.0)
+    return g.target_x_px, g.target_y_px
+
+
 def line_rates_px_s(imported):
     """How fast the first target moves over the pixels, row and column."""
     g = plan_geometry(parse_scene(imported.data), np.zeros(1, np.int64), 0.0)
@@ -226,11 +232,32 @@ def test_keys_of_objects_that_are_lost_are_named(satsim):
 
 
 def test_keys_of_stars_that_are_lost_are_named(satsim):
-    """A star catalogue of SatSim's, and where it looks in it."""
-    stars = {"mode": "sstr7", "path": "sst", "ra": 9.0, "pad": 1, "motion": {"mode": "none"}}
+    """A star catalogue of SatSim's, unless another is given."""
+    stars = {"mode": "sstr7", "path": "sst", "pad": 1, "hue": 2, "motion": {"mode": "none"}}
     found = satsim({"geometry.stars": stars})
     lost = [line for line in found.notes.left_out if line.startswith("geometry.stars")]
-    assert lost == [f"geometry.stars.{key}: no such thing in a scene" for key in ("path", "ra")]
+    assert lost[0].startswith("geometry.stars.rotation 0 deg: ")
+    assert lost[1:] == [
+        "geometry.stars: those of mode sstr7; give a --catalogue",
+        "geometry.stars.hue: no such thing in a scene",
+    ]
+
+
+def test_time_and_place_of_a_satsim_file_are_the_scene_s(satsim):
+    """Whose stars are those of a catalogue; the boresight of other files is of no meaning."""
+    stars = {"mode": "csv", "path": "sst", "ra": -9.0, "dec": 40.0, "motion": {"mode": "none"}}
+    time = [2015, 4, 24, 9, 7, 4.128]
+    found = satsim({"geometry.stars": stars, "geometry.time": time})
+    assert found.data["epoch"] == "2015-04-24T09:07:04.128000Z"
+    assert found.data["pointing"] == {
+        "mode": "sidereal", "boresight_ra_deg": 351.0, "boresight_dec_deg": 40.0
+    }  # fmt: skip
+    x, y = (at[0, 0, 0] for at in targets_px(found))
+    assert (x, y) == pytest.approx((0.3 * 120 - 0.5, 0.2 * 80 - 0.5), abs=1e-3)
+    with pytest.raises(BadInput, match=r"geometry\.time: '2015-13"):
+        satsim({"geometry.time": [2015, 13, *time[2:]]})
+    lost = satsim({"geometry.site": {"lat": "1 N"}}).notes.left_out
+    assert "geometry.site: the focal plane alone; give it observer and pointing" in lost
 
 
 def test_a_model_goes_before_a_magnitude_and_that_before_electrons(satsim):
