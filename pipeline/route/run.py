@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
+from catalog_tools.engine.addresses import check_scheduler
 from catalog_tools.engine.schedulers import open_scheduler
-from pipeline.errors import Incomplete, NightglassError, TryLater
+from pipeline.errors import BadInput, Incomplete, NightglassError, TryLater
 from pipeline.route.draw import Listener, Progress, draw
 from pipeline.route.finish import finish
 from pipeline.route.prepare import (
@@ -81,6 +82,7 @@ def render(
     is writing the product.
     """
     options, started = options or Options(), time.perf_counter()
+    _check_options(options)
     place = place_for(product, "-o")
     with place.explained():
         if share is None:
@@ -99,6 +101,16 @@ def render(
             if share is None:
                 return _finished(prepared, writing, times)
         return _joined_by_the_last(place, prepared, share, times)
+
+
+def _check_options(options: Options) -> None:
+    """Raise BadInput for options that cannot be used, before an old product is removed."""
+    if options.resume and options.replace:
+        raise BadInput("--replace", "with --resume", "one of the two")
+    workers = options.workers
+    if workers is not None and not (isinstance(workers, int) and workers >= 1):
+        raise BadInput("--workers", workers, "a whole number from 1")
+    check_scheduler(str(options.scheduler))
 
 
 def join(product: Path | str, scene: Path | None = None, wait_s: float = 0.0) -> JsonObject:

@@ -136,6 +136,16 @@ def test_a_sweep_or_study_is_never_taken_for_a_product(starry, tmp_path, record)
     assert (place / "points.parquet").read_text() == "dear"
 
 
+@pytest.mark.parametrize(
+    "options",
+    [{"resume": True}, {"workers": 0}, {"workers": -1}, {"workers": "2"}, {"scheduler": "none"}],
+)
+def test_a_product_is_not_replaced_where_nothing_could_be_drawn(product, starry, options):
+    with pytest.raises(BadInput, match=r"^--(replace|workers|scheduler): "):
+        render(starry[0], product, Options(**{"replace": True} | options))
+    assert check(product).whole
+
+
 @pytest.mark.parametrize("content", ["5", "[]", "{}", "{"])
 def test_a_record_that_holds_no_identity_is_damage(product, starry, content):
     (product / layout.BEGUN).write_text(content)
