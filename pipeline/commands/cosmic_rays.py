@@ -78,6 +78,9 @@ def compare(
     pitch = events.pixel_pitch_um or pixel_pitch_um
     if pitch is None or not 0.05 <= pitch <= 1000:
         raise BadInput("--pixel-pitch-um", pitch, "0.05 to 1000: the library does not say it")
+    most = float(events.electrons.max())
+    if not 0.0 < threshold_e <= most:
+        raise BadInput("--threshold-e", threshold_e, f"above 0, to the library's most, {most:g}")
     study = compare_library(events, pitch, thickness_um, diffusion_um, threshold_e)
     draw_comparison(study, output)
     print_mapping(study["summary"], as_json)

@@ -89,7 +89,7 @@ def compare_library(
             "pixels_5_50_95": _percentiles(e.pixels),
             "extent_px_5_50_95": _percentiles(e.extent_px),
             "electrons_5_50_95": _percentiles(e.electrons),
-            "straight_e_per_um_peak": round(_peak(path[name]), 1),
+            "straight_e_per_um_peak": _peak(path[name]),
         }
         for name, e in found.items()
     }
@@ -167,14 +167,14 @@ def _charge_per_um(e: Events, pixel_pitch_um: float, thickness_um: float) -> Arr
     return e.electrons[long] / np.hypot(e.extent_px[long] * pixel_pitch_um, thickness_um)
 
 
-def _peak(e_per_um: Array) -> float:
-    """The most common charge per length, by the half-sample mode [e-/um]."""
+def _peak(e_per_um: Array) -> float | None:
+    """The most common charge per length, by the half-sample mode [e-/um]; None without any."""
     v = np.sort(e_per_um)
     while len(v) > 4:
         half = (len(v) + 1) // 2
         first = int(np.argmin(v[half - 1 :] - v[: len(v) - half + 1]))
         v = v[first : first + half]
-    return float(v.mean()) if len(v) else float("nan")
+    return round(float(v.mean()), 1) if len(v) else None
 
 
 def draw_comparison(study: JsonObject, path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from astropy.io import fits
@@ -285,6 +287,17 @@ def test_command_line(darks, tmp_path):
         result = run.invoke(cosmic_rays, ["extract", *map(str, darks), "-o", *changed])
         assert isinstance(result.exception, BadInput)
         assert says in str(result.exception)
+
+
+def test_a_library_without_a_long_event_is_compared(tmp_path):
+    """Its charge per length is not known; a threshold above or below all charge is refused."""
+    command = ["cosmic-rays", "compare", table(tmp_path), "-o", tmp_path / "two.png",
+               "--pixel-pitch-um", "10"]  # fmt: skip
+    done = nightglass(*command, "--threshold-e", "1", "--json")
+    assert json.loads(done.stdout)["recorded"]["straight_e_per_um_peak"] is None
+    for value in ("0", "-5", "nan", "1e9"):
+        done = nightglass(*command, "--threshold-e", value)
+        assert done.stderr.startswith(f"nightglass: --threshold-e: {float(value)} is not accepted")
 
 
 def test_same_library_read_band_by_band(darks, extracted, monkeypatch):
