@@ -42,6 +42,8 @@ def report_detection(
         if find_spec(library) is None:
             raise Missing("studies of detection", library, "detection")
     cube = open_cube(product)
+    if "dn" not in cube.data_vars:
+        raise BadInput("PRODUCT", str(product), "a product with raw frames (`dn`)")
     count = int(cube.sizes["frame"]) if frames is None else min(frames, int(cube.sizes["frame"]))
     if count < 1:
         raise BadInput("--frames", frames, "1 or more")

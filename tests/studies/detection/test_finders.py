@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
+from pipeline.calibrate import calibrate
 from pipeline.cli import app
 from pipeline.errors import BadInput
 from pipeline.export.labels import STAR, TARGET, Labels
@@ -220,9 +221,11 @@ def test_crowds_are_judged_in_seconds():
 
 
 def test_limits_refused(product, tmp_path):
+    calibrate(product, tmp_path / "calibrated")
     for arguments, field in (
         ((product, tmp_path, 0.5), "--threshold"), ((product, tmp_path, math.nan), "--threshold"),
         ((product, tmp_path, 5.0, 0), "--frames"), ((tmp_path / "no", tmp_path), "PRODUCT"),
+        ((tmp_path / "calibrated", tmp_path), "PRODUCT"),
     ):  # fmt: skip
         with pytest.raises(BadInput) as caught:
             report_detection(*arguments)
