@@ -279,6 +279,15 @@ def _leave_out(f: Fields, notes: Notes, catalogue: str | None) -> None:
         "sat.albedo_range": "the magnitude is given",
         "catalog": "its stars; give a --catalogue" if catalogue is None else "as given",
     }
+    notes.left_out.append(
+        "noise of one second of sky that SImSiT draws beside that of the exposure's own sky"
+    )
+    gain = f.number("instrument.gain", 1e-9, 1e9)
+    if gain != 1.0:
+        notes.left_out.append(
+            f"instrument.gain {gain:g}: SImSiT's numbers are the zero point's electrons, not over "
+            f"the gain, and {gain:g} times ours; their noise is that of {gain:g} times the light"
+        )
     for key, why in told.items():
         if f.has(key):
             value = f.get(key)

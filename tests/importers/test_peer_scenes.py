@@ -418,6 +418,16 @@ def test_vignetting_is_an_image_of_the_field_angle(published, tmp_path):
     assert (tmp_path / name).read_bytes() == b"mine"
 
 
+@pytest.mark.parametrize(("gain", "told"), [("1.0", []), ("6.2", ["6.2 times ours"])])
+def test_a_gain_that_simsit_does_not_divide_by_is_told(published, tmp_path, gain, told):
+    """GalSim's CCDNoise takes the image as digital numbers, in which SImSiT left electrons."""
+    text = (published / "peers" / "simsit.yaml").read_text()
+    (tmp_path / "g.yaml").write_text(text.replace("gain: 1.0", f"gain: {gain}"))
+    lost = " ".join(read_simsit(tmp_path / "g.yaml", SIMSIT_EPOCH).notes.left_out)
+    assert "noise of one second of sky" in lost
+    assert [words for words in ("6.2 times ours",) if words in lost] == told
+
+
 def test_vignetting_of_a_huge_frame_is_left_out_and_named(published, tmp_path):
     """Neither side of it is long, but their product is."""
     text = (published / "peers" / "simsit.yaml").read_text()
