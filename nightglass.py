@@ -103,7 +103,7 @@ def plan(scene: AnyScene) -> dict[str, Any]:
 
 def observe(
     scene: AnyScene,
-    times: str | Iterable[str | float] | None = None,
+    times: AnyPath | Iterable[str | float] | None = None,
     snr: float = 5.0,
     centroid_seed: int | None = None,
 ) -> Observed:
@@ -113,7 +113,7 @@ def observe(
     ----------
     scene : Scene, path or mapping
         As `load_scene` gives or takes it.
-    times : iterable of str or float, or str, optional
+    times : iterable of str or float, or str or path, optional
         Middles of exposures, UTC or seconds after the epoch; `"START,STOP,STEP"`, or a file's path.
     snr : float, optional
         Signal-to-noise ratio below which a target is too faint.

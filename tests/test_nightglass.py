@@ -257,3 +257,12 @@ def test_errors_of_a_catalogue(stars, tmp_path):
     manifest.write_text(text[:-20])
     refused(nightglass.Damaged, "nightglass.json: damaged", nightglass.open_catalogue, stars)
     manifest.write_text(text)
+
+
+def test_times_are_a_path_too_and_others_are_named(tmp_path):
+    (tmp_path / "times.txt").write_text("1\n2\n")
+    for asked in (tmp_path / "times.txt", str(tmp_path / "times.txt"), [1, 2]):
+        assert nightglass.observe(SCENE, asked).table.num_rows == 2
+    for wrong in (3, [None]):
+        with pytest.raises(nightglass.BadInput, match=r"^times: "):
+            nightglass.observe(SCENE, wrong)

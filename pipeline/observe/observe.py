@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from os import PathLike
 
 import numpy as np
 import pyarrow as pa
@@ -78,7 +79,7 @@ class Observed:
 
 def observe(
     scene: Scene,
-    times: str | Iterable[str | float] | None = None,
+    times: str | PathLike[str] | Iterable[str | float] | None = None,
     least_snr: float = LEAST_SNR,
     listen: Listener | None = None,
     centroid_seed: int | None = None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,7 @@ class Times:
     as_exposed: bool
 
 
-def times_of(scene: Scene, asked: str | Iterable[str | float] | None) -> Times:
+def times_of(scene: Scene, asked: str | PathLike[str] | Iterable[str | float] | None) -> Times:
     """The exposures of a scene; or others whose middles are the times asked for, each as the frame
     nearest in time is taken (its integration time, and the pointing of its dwell).
 
@@ -45,7 +46,9 @@ def times_of(scene: Scene, asked: str | Iterable[str | float] | None) -> Times:
     if isinstance(asked, str) and asked.count(",") == 2:
         wanted = _range_s(scene, *asked.split(","))
     else:
-        words = _lines(Path(asked)) if isinstance(asked, str) else list(asked)
+        words = _lines(Path(asked)) if isinstance(asked, str | PathLike) else asked
+        if not isinstance(words, Iterable):
+            raise BadInput("times", asked, FORMS)
         wanted = np.array([_offset_s(scene, word) for word in words])
     if not 1 <= len(wanted) <= MOST_TIMES:
         raise BadInput("times", f"{len(wanted)} times", f"1 to {MOST_TIMES} times")
@@ -81,6 +84,8 @@ def _offset_s(scene: Scene, word: str | float) -> float:
     """A time [s after the epoch] from UTC or seconds."""
     try:
         seconds = float(word)
+    except TypeError:
+        raise BadInput("times", word, "UTC, or seconds after the epoch") from None
     except ValueError:
         utc1, utc2 = parse_utc(str(word).strip(), "times")
         return float(elapsed_s(parse_utc(scene.epoch), utc1, utc2))
