@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,7 +185,9 @@ def _maps(
     return out
 
 
-def _full_well(f: Fields, bias_e: Any, offset_e: float, notes: Notes) -> float:
+def _full_well(
+    f: Fields, bias_e: float | NDArray[np.float64], offset_e: float, notes: Notes
+) -> float:
     """Charge that fills a pixel: SatSim cuts off at `fwc` what it has added both biases to."""
     most = f.number("fpa.a2d.fwc", 1, 1e15)
     added = float(np.median(bias_e)) + offset_e

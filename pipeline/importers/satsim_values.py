@@ -85,9 +85,7 @@ def _choice(_: str, value: Node, rng: np.random.Generator, told: list[str], wher
 def _numbers(kind: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:
     given = [settled(value.get(k), rng, told, f"{where}.{k}") for k in KNOWN[kind]]
     size = value.get("size")
-    each = size if isinstance(size, list) else [1 if size is None else size]
-    if not all(type(n) is int and n > 0 for n in each) or math.prod(each) > MOST:
-        raise BadInput(f"{where}.size", size, f"whole numbers, up to {MOST} in all")
+    _check_size(size, f"{where}.size")
     try:
         if "seed" in value:
             rng = np.random.default_rng(value["seed"])
@@ -95,6 +93,12 @@ def _numbers(kind: str, value: Node, rng: np.random.Generator, told: list[str], 
     except (ValueError, TypeError) as error:
         raise BadInput(where, given, str(error)) from None
     return np.asarray(out, np.float32) if np.ndim(out) else np.asarray(out).item()
+
+
+def _check_size(size: object, field: str) -> None:
+    each = size if isinstance(size, list) else [1 if size is None else size]
+    if not all(type(n) is int and n > 0 for n in each) or math.prod(each) > MOST:
+        raise BadInput(field, size, f"whole numbers, up to {MOST} in all")
 
 
 SAMPLERS = {**dict.fromkeys(KNOWN, _numbers), "choice": _choice, "list": _list}
