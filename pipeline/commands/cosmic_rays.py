@@ -44,7 +44,6 @@ def extract(
         raise BadInput("--threshold-sigma", threshold_sigma, "3 or more: noise is no event")
     if not 1.0 <= grow_sigma <= threshold_sigma:
         raise BadInput("--grow-sigma", grow_sigma, f"1 to the threshold, {threshold_sigma:g}")
-    check_new(output)
     _check_place(output, ".fits")
     darks = open_darks(dark_frames)
     show = None if is_quiet(as_json) else _show
@@ -87,6 +86,7 @@ def compare(
 
 
 def _check_place(output: Path, *kinds: str) -> None:
+    check_new(output)
     if not output.parent.is_dir() or output.suffix not in kinds:
         raise BadInput("-o", str(output), f"a {' or '.join(kinds)} file in a folder that exists")
 

@@ -176,7 +176,10 @@ def _maps(
         if isinstance(value, np.ndarray):
             if value.shape != shape:
                 raise BadInput(f"fpa ({key})", list(value.shape), f"an image of {list(shape)}")
-            images[f"{name}.{key}.npy"] = np.maximum(value, 0.0).astype(np.float32)
+            if key != "bias_dn" and (below := int((value < 0.0).sum())):
+                notes.left_out.append(f"{below} pixels of {key} below 0: they are 0")
+                value = np.maximum(value, 0.0)
+            images[f"{name}.{key}.npy"] = value.astype(np.float32)
             out[key] = f"{name}.{key}.npy"
         elif isinstance(value, int | float) and not isinstance(value, bool):
             out[key] = float(value)

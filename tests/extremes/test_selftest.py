@@ -148,3 +148,12 @@ def test_one_case_that_fails_is_told_by_the_exit_code(passed, code, monkeypatch)
     with pytest.raises(typer.Exit) if code else contextlib.nullcontext() as ended:
         command.selftest(as_json=True)
     assert code is None or ended.value.exit_code == code
+
+
+def test_a_page_that_cannot_be_written_is_refused_before_any_case_runs(tmp_path, monkeypatch):
+    def run_none(*_):
+        pytest.fail("a case ran")
+
+    monkeypatch.setattr(command, "run_cases", run_none)
+    with pytest.raises(BadInput, match=r"--markdown: .*allowed: a file in a folder that exists"):
+        command.selftest(None, tmp_path / "missing" / "page.md", False)

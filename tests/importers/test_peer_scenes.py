@@ -219,6 +219,18 @@ def test_stray_light_is_of_every_pixel(satsim):
     )
 
 
+def test_images_below_zero_are_biases_or_told(satsim):
+    """A bias of N(0, 20) e- lies below 0 in half of the pixels; no dark current does."""
+    spread = {"$sample": "random.normal", "loc": 0.0, "scale": 20.0, "size": [80, 120]}
+    found = satsim({"fpa.bias": spread, "fpa.dark_current": spread})
+    bias, dark = (found.images[found.data["sensor"][k]] for k in ("bias_dn", "dark_e_per_s"))
+    assert abs(bias.mean() - np.median(bias)) < 0.05 * bias.std()  # nothing is cut off
+    below = (dark == 0.0).sum()
+    assert dark.min() == 0.0
+    assert abs(below / dark.size - 0.5) < 0.03  # of 9,600: six sigma
+    assert f"{below} pixels of dark_e_per_s below 0: they are 0" in found.notes.left_out
+
+
 def test_keys_of_objects_that_are_lost_are_named(satsim):
     """Also those within a key; of an object that SatSim does not draw none."""
     line = {"mode": "line", "origin": [0.5, 0.5], "velocity": [0, 0], "pe": 9, "mv_truth": 1}

@@ -9,6 +9,7 @@ import typer
 
 from pipeline.commands.options import Json, print_json
 from pipeline.commands.pages import is_quiet, stage_progress
+from pipeline.errors import BadInput
 from pipeline.studies.selftest.report import as_data, chosen, markdown, print_table, run_cases
 
 
@@ -19,6 +20,8 @@ def selftest(
 ) -> None:
     """Limiting cases against answers known from elsewhere. Exit 1 where one fails."""
     cases = chosen(only)
+    if page is not None and not page.parent.is_dir():
+        raise BadInput("--markdown", str(page), "a file in a folder that exists")
     with stage_progress(is_quiet(as_json)) as listen:
         outcomes = run_cases(cases, listen)
     if page is not None:

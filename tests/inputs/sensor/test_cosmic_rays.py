@@ -291,13 +291,14 @@ def test_command_line(darks, tmp_path):
 
 def test_a_library_without_a_long_event_is_compared(tmp_path):
     """Its charge per length is not known; a threshold above or below all charge is refused."""
-    command = ["cosmic-rays", "compare", table(tmp_path), "-o", tmp_path / "two.png",
-               "--pixel-pitch-um", "10"]  # fmt: skip
-    done = nightglass(*command, "--threshold-e", "1", "--json")
+    command = ["cosmic-rays", "compare", table(tmp_path), "--pixel-pitch-um", "10", "-o"]
+    done = nightglass(*command, tmp_path / "two.png", "--threshold-e", "1", "--json")
     assert json.loads(done.stdout)["recorded"]["straight_e_per_um_peak"] is None
     for value in ("0", "-5", "nan", "1e9"):
-        done = nightglass(*command, "--threshold-e", value)
+        done = nightglass(*command, tmp_path / "no.png", "--threshold-e", value)
         assert done.stderr.startswith(f"nightglass: --threshold-e: {float(value)} is not accepted")
+    done = nightglass(*command, tmp_path / "two.png", "--threshold-e", "1")
+    assert "a path that does not exist yet" in done.stderr
 
 
 def test_same_library_read_band_by_band(darks, extracted, monkeypatch):
