@@ -17,6 +17,7 @@ from starlette.requests import Request
 
 from catalog_tools.documents import JsonObject
 from service.engine.processes import look_at
+from service.http.gate import allow_time
 from service.jobs.shares import Shares
 from service.problems import EngineFault, Malformed, PlanTooSlow
 from service.scenes.uploads import Uploads, engine_scene
@@ -39,14 +40,13 @@ class Looks:
     async def plan(self, request: Request, team: str, scene: JsonObject) -> JsonObject:
         """The plan of an accepted scene. PlanRefused, PlanTooSlow, EngineFault, TooMany."""
         asked = {"do": "plan", "most_cpu_s": self._settings.job_cpu_s}
-        look = self._look(team, scene, asked, self._settings.plan_s)
-        plan: JsonObject = (await unless_gone(request, look))["plan"]
+        plan: JsonObject = (await self._answer(request, team, scene, asked))["plan"]
         return plan
 
     async def forecast(self, request: Request, team: str, study: JsonObject) -> JsonObject:
         """What an accepted study takes. Raises as `plan` does."""
-        look = self._look(team, study, {"do": "forecast"}, self._settings.plan_s)
-        forecast: JsonObject = (await unless_gone(request, look))["forecast"]
+        found = await self._answer(request, team, study, {"do": "forecast"})
+        forecast: JsonObject = found["forecast"]
         return forecast
 
     async def observe(
@@ -54,8 +54,7 @@ class Looks:
     ) -> JsonObject:
         """What an accepted scene's sensor sees; asked : times and snr. Raises as `plan` does."""
         order = asked | {"do": "observe", "most_rows": self._settings.observed_rows}
-        look = self._look(team, scene, order, self._settings.plan_s)
-        seen: JsonObject = (await unless_gone(request, look))["observed"]
+        seen: JsonObject = (await self._answer(request, team, scene, order))["observed"]
         return seen
 
     async def judge(self, request: Request, team: str, scene: JsonObject) -> None:
@@ -80,6 +79,13 @@ class Looks:
             self._judged[key] = None
             while len(self._judged) > KEPT:
                 self._judged.popitem(last=False)
+
+    async def _answer(
+        self, request: Request, team: str, scene: JsonObject, asked: JsonObject
+    ) -> JsonObject:
+        """What a look says within `plan_s`; the request may take that beside its answer's time."""
+        allow_time(request, self._settings.plan_s + self._settings.answer_s)
+        return await unless_gone(request, self._look(team, scene, asked, self._settings.plan_s))
 
     async def _look(
         self, team: str, scene: JsonObject, asked: JsonObject, limit_s: float

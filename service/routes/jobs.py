@@ -54,7 +54,6 @@ async def submit(
         service.caller.team, body, service.has_file, media_type(request)
     )
     if dry_run:
-        allow_time(request, settings.plan_s + settings.answer_s)
         plan = await service.looks.plan(request, service.caller.team, found.scene())
         return JSONResponse(with_time(plan))
     if found.named:

@@ -10,7 +10,6 @@ from starlette.concurrency import run_in_threadpool
 
 from service.context import Service
 from service.http.bodies import TEXTS, media_type, parse_text, read_body
-from service.http.gate import allow_time
 from service.routes.jobs import SCENE_BODY
 from service.scenes.scenes import accept_scene
 
@@ -33,7 +32,6 @@ async def observe(
     body = await read_body(request, settings.body_bytes, settings.body_s, TEXTS)
     data = await run_in_threadpool(parse_text, body, media_type(request))
     scene = await run_in_threadpool(accept_scene, data, settings, service.has_file, False)
-    allow_time(request, settings.plan_s + settings.answer_s)
     asked = {"times": times, "snr": snr}
     team = service.caller.team
     return JSONResponse(await service.looks.observe(request, team, scene.as_dict(), asked))

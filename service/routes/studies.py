@@ -8,7 +8,6 @@ from starlette.concurrency import run_in_threadpool
 
 from service.context import Service
 from service.http.bodies import TEXTS, digest_of, media_type, parse_text, read_body
-from service.http.gate import allow_time
 from service.routes.jobs import DryRun, IdempotencyKey, check_key, json_body, taken
 from service.scenes.studies import accept_study
 
@@ -27,7 +26,6 @@ async def submit(
     data = await run_in_threadpool(parse_text, body, media_type(request))
     study = await run_in_threadpool(accept_study, data, settings, service.has_file)
     if dry_run:
-        allow_time(request, settings.plan_s + settings.answer_s)
         return JSONResponse(await service.looks.forecast(request, service.caller.team, study))
     digest = digest_of(data)
     ask = service.store.ask(study["name"], study, digest, key, kind="study")

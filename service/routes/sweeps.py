@@ -9,7 +9,6 @@ from starlette.concurrency import run_in_threadpool
 from service.accounts.teams import pixel_frames_of
 from service.context import Service
 from service.http.bodies import TEXTS, digest_of, media_type, parse_text, read_body
-from service.http.gate import allow_time
 from service.routes.jobs import DryRun, IdempotencyKey, check_key, json_body, taken, with_time
 from service.scenes.sweeps import accept_sweep, can_run
 
@@ -30,7 +29,6 @@ async def submit(
         accept_sweep, data, service.settings, service.has_file
     )
     if dry_run:
-        allow_time(request, service.settings.plan_s + service.settings.answer_s)
         plan = await service.looks.plan(request, service.caller.team, sweep["scene"])
         points = pixel_frames // pixel_frames_of(sweep["scene"])
         size = {"points": points, "pixel_frames": pixel_frames}

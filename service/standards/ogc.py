@@ -13,7 +13,6 @@ from pipeline.spec.json_schemas import json_schema
 from pipeline.spec.scene import Scene
 from service.context import Context, Service
 from service.http.bodies import digest_of, parse_json, read_body
-from service.http.gate import allow_time
 from service.jobs.jobs import FINAL, Job, Phase
 from service.jobs.views import utc
 from service.problems import NotAllowed, NotReady, NotThere
@@ -122,7 +121,6 @@ async def execute(request: Request, service: Service, process: str) -> Response:
     body = await read_body(request, settings.body_bytes, settings.body_s)
     data, scene = await run_in_threadpool(_accept, service, body)
     if process == "plan":
-        allow_time(request, settings.plan_s + settings.answer_s)
         plan = await service.looks.plan(request, service.caller.team, scene.as_dict())
         return JSONResponse({"plan": plan})
     await service.looks.judge(request, service.caller.team, scene.as_dict())

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import asyncio
-import json
+import threading
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from unittest.mock import AsyncMock
 
 import pytest
 
+from service.engine import looks
 from service.http.gate import DEADLINE
 from service.jobs.changes import Changes
 from service.jobs.jobs import Phase
 from service.jobs.views import etag
 from service.routes.jobs import watch
 from service.settings import Settings
-from service.standards import ogc
 from service.standards.uws import _wait
 from tests.service.jobs.test_jobs import shown
 
@@ -107,19 +106,25 @@ def test_a_watch_waits_for_a_change_of_what_is_known(
     asyncio.run(talk())
 
 
-def test_a_plan_may_take_longer_than_other_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`plan_s`, and its answer's time."""
-    scene: Any = SimpleNamespace(as_dict=dict, name="small")
-    monkeypatch.setattr(ogc, "read_body", AsyncMock(return_value=b"{}"))
-    monkeypatch.setattr(ogc, "_accept", lambda *_: ({}, scene))
+@pytest.mark.parametrize(
+    ("look", "found", "more"),
+    [("plan", "plan", ()), ("forecast", "forecast", ()), ("observe", "observed", ({"snr": 5.0},))],
+)
+def test_a_look_may_take_longer_than_other_answers(
+    monkeypatch: pytest.MonkeyPatch, look: str, found: str, more: Any
+) -> None:
+    """`plan_s`, and its answer's time: of a dry run, a forecast, an observation."""
+    monkeypatch.setattr(looks, "look_at", lambda *_: {found: {"tiles": 2}})
+    monkeypatch.setattr(looks, "engine_scene", lambda scene, _: scene)
 
     async def talk() -> None:
         service: Any = Waited([P.QUEUED])
-        service.settings = Settings(Path(), plan_s=70.0, answer_s=ANSWER_S)
-        service.looks = SimpleNamespace(plan=AsyncMock(return_value={"tiles": 2}))
+        settings = Settings(Path(), plan_s=70.0, answer_s=ANSWER_S)
+        files: Any = SimpleNamespace(names=lambda *_: {})
+        service.request.receive = asyncio.Event().wait  # the caller stays
+        asked = getattr(looks.Looks(settings, files, threading.Event()), look)
         now_s = asyncio.get_running_loop().time()
-        answer = await ogc.execute(service.request, service, "plan")
-        assert (answer.status_code, json.loads(answer.body)) == (200, {"plan": {"tiles": 2}})
+        assert await asked(service.request, "red", {"name": "small"}, *more) == {"tiles": 2}
         assert service.until == pytest.approx([now_s + 70.0 + ANSWER_S], abs=20.0)
 
     asyncio.run(talk())
