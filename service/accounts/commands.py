@@ -71,8 +71,8 @@ def listing(home: Home = None, as_json: Json = False) -> None:
         made, ends = (_date(row[name]) for name in ("created_s", "expires_s"))
         ended = "revoked" if row["revoked_s"] else "expired"
         state = "usable" if usable(SimpleNamespace(**row)) else ended
-        until = f"until {ends}" if ends else "without end"
-        print(f"{row['id']}  {state:8} {made} {until:16}  {row['team']}  {row['name']}")
+        until = f"to {ends}" if ends else "on"
+        print(f"{row['id']}  {state:8} {made} {until:13}  {row['team']}  {row['name']}")
 
 
 def _date(s: float | None) -> str:

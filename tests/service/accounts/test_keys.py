@@ -195,10 +195,10 @@ def test_the_list_tells_when_keys_end(
     commands.listing(None, False)
     without, until = capsys.readouterr().out.splitlines()
     day = datetime.now(UTC).date() + timedelta(days=30)
-    assert re.fullmatch(r"\w{12}  usable   \S+ without end  +red  ann", without)
-    assert re.fullmatch(r"\w{12}  usable   \S+ until \S+  +red  bob", until)
+    assert re.fullmatch(r"\w{12}  usable   \S+ on  +red  ann", without)
+    assert re.fullmatch(r"\w{12}  usable   \S+ to \S+  +red  bob", until)
     # a midnight may have passed in between
-    assert any(f"until {day - timedelta(days=n)} " in until for n in (0, 1))
+    assert any(f"to {day - timedelta(days=n)} " in until for n in (0, 1))
 
 
 @pytest.fixture(scope="module")
