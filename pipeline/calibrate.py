@@ -24,7 +24,7 @@ from pipeline.plan.timing import frame_count, integration_s
 from pipeline.spec.load import parse_scene, parse_yaml
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
-from pipeline.store.cube import CubeWriter, finish_cube, open_cube, read_layer
+from pipeline.store.cube import CubeWriter, finish_cube, open_raw_cube, read_layer
 from pipeline.store.product import (
     begin_copy,
     check_same_images,
@@ -47,9 +47,7 @@ def calibrate(product: Path, output: Path) -> JsonObject:
     that the scene names, and generated patterns drawn again from its seed. Raises BadInput for a
     path that exists or a file that is gone or has changed, Incomplete and Damaged for the product.
     """
-    cube = open_cube(product)
-    if "dn" not in cube.data_vars:
-        raise BadInput("PRODUCT", str(product), "a product with raw frames (`dn`)")
+    cube = open_raw_cube(product)
     check_new(output)
     scene = parse_scene(parse_yaml(str(cube.attrs["scene"]), f"{product}: scene"))
     check_same_images(product, scene.as_dict())

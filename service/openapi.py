@@ -6,6 +6,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from catalog_tools.documents import JsonObject
+from pipeline.spec.json_schemas import FORMATS
 
 TEXT = {"type": ["string", "null"]}
 NUMBER = {"type": ["integer", "null"]}
@@ -152,7 +153,7 @@ KINDS: dict[str, tuple[str, ...]] = {  # of what is answered to a GET, where it 
     f"{JOB_PATH}/frames/{{frame}}/fits": ("application/fits",),
     f"{JOB_PATH}/frames/{{frame}}/tiles/{{row}}/{{column}}": ("application/octet-stream",),
     f"{JOB_PATH}/frames/{{frame}}/tiles/{{row}}/{{column}}/picture.png": ("image/png",),
-    **{f"/v1/schema/{of}": ("application/schema+json",) for of in ("scene", "sweep", "study")},
+    **{f"/v1/schema/{of}": ("application/schema+json",) for of in FORMATS},
     "/metrics": ("text/plain",),
     "/uws/async": ("text/xml",),
     "/uws/async/{job_id}": ("text/xml",),

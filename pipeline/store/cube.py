@@ -222,6 +222,14 @@ def open_cube(product: Path) -> xr.Dataset:
     return xr.open_zarr(product / CUBE, chunks=None)
 
 
+def open_raw_cube(product: Path) -> xr.Dataset:
+    """`open_cube` of a product that has raw frames. BadInput for one without, as of calibrated."""
+    cube = open_cube(product)
+    if "dn" not in cube.data_vars:
+        raise BadInput("PRODUCT", str(product), "a product with raw frames (`dn`)")
+    return cube
+
+
 def check_complete(product: Path) -> None:
     """Raise BadInput where a path holds no product, Incomplete where it holds an unfinished one."""
     if not (product / CUBE).is_dir():

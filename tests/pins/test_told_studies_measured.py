@@ -312,8 +312,7 @@ def test_detection(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         (2, 100, 30, 16, 20, 9),
     )
     frames, sizes = [still, moving], {"frame": 2, "y": 96, "x": 128}
-    cube = SimpleNamespace(data_vars=["dn"], sizes=sizes)
-    monkeypatch.setattr(study, "open_cube", lambda _: cube)
+    monkeypatch.setattr(study, "open_raw_cube", lambda _: SimpleNamespace(sizes=sizes))
     monkeypatch.setattr(study, "frame_labels", lambda _, k, *__: frames[k])
     monkeypatch.setattr(study, "read_layer", lambda _, __, k: np.rint(_sky(frames[k])))
     heard: list[Any] = []

@@ -14,7 +14,7 @@ from catalog_tools.documents import JsonObject
 from catalog_tools.engine.ahead import ahead, cores, threads
 from pipeline.errors import BadInput, Missing
 from pipeline.export.labels import TARGET, Labels, frame_labels
-from pipeline.store.cube import open_cube, read_layer
+from pipeline.store.cube import open_raw_cube, read_layer
 from pipeline.studies.detection.finders import tasks
 from pipeline.studies.detection.judge import POINT_PX, DetectionVerdict, by_magnitude, judge
 from pipeline.studies.detection.points import Detections, flattened
@@ -41,9 +41,7 @@ def report_detection(
     for library in ("sep", "matplotlib"):
         if find_spec(library) is None:
             raise Missing("studies of detection", library, "detection")
-    cube = open_cube(product)
-    if "dn" not in cube.data_vars:
-        raise BadInput("PRODUCT", str(product), "a product with raw frames (`dn`)")
+    cube = open_raw_cube(product)
     count = int(cube.sizes["frame"]) if frames is None else min(frames, int(cube.sizes["frame"]))
     if count < 1:
         raise BadInput("--frames", frames, "1 or more")
