@@ -48,13 +48,13 @@ class TransferBand:
         y, x = self.kept(limit)
         return self.integral(1.0 - y, np.ones(x.size)) + self.integral(y, 1.0 - x)
 
-    def limit_for(self, error: float) -> float:
-        """Smallest limit that leaves out no more than `error`, or the band's end."""
+    def limit_for(self, error: float, least: float) -> float:
+        """Smallest limit from `least` on that leaves out at most `error`, or the band's end."""
         low, high = 0.0, float(self.fx[-1])
-        while high - low > 1e-3 * high:
+        while high > least and high - low > 1e-3 * high:
             middle = 0.5 * (low + high)
             low, high = (low, middle) if self.cut(middle) <= error else (middle, high)
-        return high
+        return max(high, least)
 
 
 @njit(cache=True, nogil=True)

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Pair = tuple[int, int]
 
 MOST_BYTES = 400e6
+LEAST_MODES = 16  # that are kept: what fewer cut off, the cells of a band hardly bound
 LIGHT_ERROR = 1e-6  # of a source's light that the grid may gain or lose
 WIDTHS = range(4, 13)
 DENSITIES = 24  # grid densities that are tried
@@ -212,8 +213,9 @@ class _Need:
 
 def _plans(need: _Need, error: float) -> Iterator[SpectralPlan]:
     """For each kernel width, the coarsest grid that reaches the error, found by halving."""
-    widest = need.band.limit_for(CUT_PART * error)
-    narrow = need.band.limit_for(0.9 * error)
+    least = LEAST_MODES / min(n + 2.0 * r for n, r in zip(need.shape, need.reach, strict=True))
+    widest = need.band.limit_for(CUT_PART * error, least)
+    narrow = need.band.limit_for(0.9 * error, least)
     densities = np.geomspace(2.0 * narrow, 5.0 * widest, DENSITIES)
     for width in WIDTHS:
         best, low, high = None, 0, DENSITIES

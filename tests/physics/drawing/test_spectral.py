@@ -237,6 +237,18 @@ def test_limits_of_sharp_and_broad_responses(sigma: float) -> None:
     assert np.abs(image - exact).max() <= plan.error + HOLDS * exact.max()
 
 
+@pytest.mark.parametrize("sigma", [0.8, 14.5, 30.0])
+@pytest.mark.parametrize("part", [0.01, 0.5, 1e6])
+def test_any_error_may_be_asked_for(sigma: float, part: float) -> None:
+    """Also one above the light of a source's brightest pixel: a coarse grid, whose bound holds."""
+    core = gaussian_core(sigma)
+    plan = plan_spectral((82, 52), core, POINT, part * peak_light(core, POINT))
+    image = draw(plan, core, one(25.3, 40.2))
+    exact = gaussian_pixels((82, 52), 25.3, 40.2, sigma, POINT)
+    assert np.abs(image - exact).max() <= plan.error + HOLDS * exact.max()
+    assert plan.error <= part * exact.max()
+
+
 def test_light_is_conserved() -> None:
     rng = np.random.default_rng(4)
     for core, path in (

@@ -93,7 +93,7 @@ def test_band_holds_all_of_a_positive_response() -> None:
     band = band_of(core, POINT, np.inf)
     centre = core.samples[core.samples.shape[0] // 2, core.samples.shape[0] // 2]
     assert band.weight.sum() == pytest.approx(centre, rel=1e-6)
-    assert band.cut(band.limit_for(1e-4)) <= 1e-4
+    assert band.cut(band.limit_for(1e-4, 0.0)) <= 1e-4
     assert peak_light(core, POINT) == pytest.approx(centre)
 
 
