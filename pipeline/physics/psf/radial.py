@@ -164,7 +164,7 @@ def _panels(top: float, radius_px: float) -> tuple[Array, Array]:
     return f.ravel(), (half * _W).ravel()
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=1024)  # small, and asked for in turn for all wavelengths of a field's bands
 def _light_table(optics: Radial) -> Callable[[float], float]:
     top, values = radial_table(optics)
     return light_table(lambda f: look_up(f, top, values), top, optics.scale_px, FARTHEST)

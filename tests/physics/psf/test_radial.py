@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 from scipy.special import j0, j1
 
+from pipeline.physics.psf.band import mixture
 from pipeline.physics.psf.pupil import Airy, EllipticalGaussian, Gaussian
 from pipeline.physics.psf.radial import (
+    _light_table,
     falling_to,
     intensity,
     light_beyond,
     light_table,
     mean_over_directions,
 )
+from pipeline.physics.psf.seeing import Kolmogorov
 
 
 @pytest.mark.parametrize("q", [0.1, 1.0, 8.0])
@@ -82,3 +85,13 @@ def test_light_table_follows_the_rings() -> None:
 
 def test_falling_to_finds_the_floor() -> None:
     assert falling_to(lambda f: np.exp(-f), 1e-3, 0.01) == pytest.approx(np.log(1e3), rel=1e-12)
+
+
+def test_light_of_a_band_of_many_wavelengths_is_tabulated_once() -> None:
+    """A table takes 20 ms; a search for a radius asks all of them 70 times."""
+    seen = tuple(Kolmogorov(0.05, Airy(0.1 + 0.003 * k)) for k in range(40))
+    band = mixture(seen, (1.0 / 40.0,) * 40)
+    before = _light_table.cache_info().misses
+    beyond = [band.light_beyond(r) for r in (3.0, 7.0, 20.0)]
+    assert _light_table.cache_info().misses - before == 40
+    assert beyond[0] > beyond[1] > beyond[2] > 0.0
