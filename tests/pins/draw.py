@@ -46,9 +46,9 @@ class Drawn:
     gain_e_per_dn: float = 1.0
 
 
-def scene_data(name: str, files: Path) -> dict[str, Any]:
-    """A pinned scene as plain data, with the paths of its files."""
-    return _placed(changed(BASE, SCENES[name]), files)
+def scene_data(name: str, files: Path, changes: dict[str, Any] | None = None) -> dict[str, Any]:
+    """A pinned scene as plain data, with the paths of its files; `changes` of it are dotted."""
+    return _placed(changed(changed(BASE, SCENES[name]), changes or {}), files)
 
 
 def scene_of(name: str, files: Path = Path("files")) -> Scene:
