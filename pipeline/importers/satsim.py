@@ -318,7 +318,9 @@ def _stray(f: Fields, notes: Notes) -> float:
     stray = f.get("background.stray", 0.0)
     if isinstance(stray, int | float):
         return f.number("background.stray", 0, 1e12, 0.0)
-    kind = stray.get("mode", "none") if isinstance(stray, dict) else "that differs between pixels"
+    kind = "that differs between pixels"
+    if isinstance(stray, dict):
+        kind = stray.get("mode", kind)
     if kind != "none":
         notes.left_out.append(f"background.stray {kind}")
     return 0.0

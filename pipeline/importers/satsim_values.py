@@ -18,6 +18,7 @@ KNOWN = {
     "poisson": ("lam",),
     "exponential": ("scale",),
 }
+OLD = ("sample", "pipeline")  # as SatSim wrote them before 0.8.2, and still reads them
 Node = JsonObject  # of a SatSim file
 MOST = 100_000_000
 DEPTH = 32
@@ -31,9 +32,15 @@ def settled(value: object, rng: np.random.Generator, told: list[str], where: str
     if where.count(".") > DEPTH:
         raise BadInput(where[:60], "nested too deeply", f"at most {DEPTH} levels")
     if isinstance(value, list):
-        return [settled(v, rng, told, f"{where}.{i}") for i, v in enumerate(value)]
+        out: list[object] = []
+        for i, v in enumerate(value):
+            one = settled(v, rng, told, f"{where}.{i}")
+            # What draws a list stands for its items.
+            out += one if isinstance(one, list) and isinstance(v, dict) else [one]
+        return out
     if not isinstance(value, dict):
         return value
+    value = {f"${k}" if k in OLD else k: v for k, v in value.items()}
     if "$sample" in value:
         return _drawn(value, rng, told, where)
     if "$pipeline" in value:
@@ -62,37 +69,72 @@ def _shown(drawn: object) -> str:
     return f"{drawn:.6g}" if isinstance(drawn, int | float) else str(drawn)
 
 
+def _of_seed(value: Node, where: str) -> np.random.RandomState | None:
+    """What SatSim draws with where the file has a seed: the same value for all time."""
+    seed = value.get("seed")
+    try:
+        return None if seed is None else np.random.RandomState(seed)
+    except (ValueError, TypeError) as error:
+        raise BadInput(where, seed, str(error)) from None
+
+
+def _seeded(value: object, own: np.random.RandomState | None) -> Any:
+    """The value with a seed for each `$sample` in it that has none, drawn in SatSim's order."""
+    if own is None or not isinstance(value, dict | list):
+        return value
+    if isinstance(value, list):
+        return [_seeded(v, own) for v in value]
+    out = {f"${k}" if k in OLD else k: v for k, v in value.items()}
+    if "$sample" in out and out.get("seed") is None:
+        out["seed"] = int(own.randint(0, 2**32, dtype=np.int64))
+    return {k: v if k == "seed" else _seeded(v, own) for k, v in out.items()}
+
+
 def _list(_: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> object:
-    length = settled(value.get("length"), rng, told, f"{where}.length")
+    own = _of_seed(value, where)
+    length = settled(_seeded(value.get("length"), own), rng, told, f"{where}.length")
     if not isinstance(length, int | np.integer) or not 0 <= length <= 10_000:
         raise BadInput(f"{where}.length", length, "a whole number up to 10000")
-    return [settled(value.get("value"), rng, told, f"{where}.{i}") for i in range(length)]
+    each = value.get("value")
+    return [settled(_seeded(each, own), rng, told, f"{where}.{i}") for i in range(length)]
 
 
 def _choice(_: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> object:
     choices = value.get("choices")
     if not isinstance(choices, list) or not choices:
         raise BadInput(f"{where}.choices", choices, "a list of values")
-    share = value.get("probabilities")
+    share, own = value.get("probabilities"), _of_seed(value, where)
     try:
-        k = int(rng.choice(len(choices), p=share))
+        n = len(choices)
+        k = int(rng.choice(n, p=share)) if own is None else int(own.randint(0, n))
     except (ValueError, TypeError) as error:
         raise BadInput(f"{where}.probabilities", share, str(error)) from None
     told.append(f"{where} chosen at random: number {k + 1} of {len(choices)}")
-    return settled(choices[k], rng, told, where)
+    return settled(_seeded(choices[k], own), rng, told, where)
 
 
 def _numbers(kind: str, value: Node, rng: np.random.Generator, told: list[str], where: str) -> Any:
+    value = _seeded(value, _of_seed(value, where))
     given = [settled(value.get(k), rng, told, f"{where}.{k}") for k in KNOWN[kind]]
     size = value.get("size")
     _check_size(size, f"{where}.size")
+    own = _of_seed(value, where)
+    opposite = _is_negated(value, own or rng, where)
     try:
-        if "seed" in value:
-            rng = np.random.default_rng(value["seed"])
-        out = getattr(rng, "integers" if kind == "randint" else kind)(*given, size=size)
+        name = "integers" if kind == "randint" and own is None else kind
+        out = getattr(own or rng, name)(*given, size=size)
     except (ValueError, TypeError) as error:
         raise BadInput(where, given, str(error)) from None
+    out = -out if opposite else out
     return np.asarray(out, np.float32) if np.ndim(out) else np.asarray(out).item()
+
+
+def _is_negated(value: Node, rng: np.random.Generator | np.random.RandomState, where: str) -> bool:
+    """Whether the sample changes its sign, which it does with the probability `negate`."""
+    share = value.get("negate", 0.0)
+    if isinstance(share, bool) or not isinstance(share, int | float):
+        raise BadInput(f"{where}.negate", share, "a number from 0 to 1")
+    return share > 0.0 and bool(rng.uniform(0.0, 1.0) < share)
 
 
 def _check_size(size: object, field: str) -> None:

@@ -414,6 +414,45 @@ def test_what_chance_chose_is_told_by_its_place():
         settled({"a": choices}, np.random.default_rng(1), [])
 
 
+def test_samples_with_a_seed_are_those_that_satsim_draws():
+    """SatSim 0.27.1 has these values for this file, at every run; one is negated."""
+    uniform = {"$sample": "random.uniform", "low": 1, "high": 5, "seed": 11}
+    line = {"mode": "line", "row": {"$sample": "random.uniform", "low": 0, "high": 1}}
+    drawn = settled(
+        {
+            "number": uniform,
+            "whole": {"$sample": "random.randint", "low": 0, "high": 100, "seed": 7},
+            "negated": uniform | {"low": 3, "high": 4, "negate": 1.0, "seed": 5},
+            "inner": {
+                "$sample": "random.normal",
+                "loc": {"$sample": "random.uniform", "low": 5, "high": 6},
+                "scale": 0.001,
+                "seed": 4,
+            },
+            "chosen": {"$sample": "random.choice", "choices": [1, 2, 3, 4], "seed": 2},
+            "list": {"$sample": "random.list", "length": 2, "value": line, "seed": 3},
+        },
+        np.random.default_rng(1),
+        [],
+    )
+    *rest, listed = drawn.values()
+    wanted = [1.7210787555070768, 47, -3.870732306177376, 5.858360640998882, 1]
+    assert rest == pytest.approx(wanted, rel=1e-12)
+    rows = [one["row"] for one in listed]
+    assert rows == pytest.approx([0.09065423362854419, 0.8097172181205327])
+
+
+def test_a_sampled_list_in_a_list_stands_for_its_items(satsim):
+    """As in SatSim; which also reads `sample` without its sign: 100 e-/s of stray light here."""
+    line = {"mode": "line", "origin": [0.5, 0.5], "velocity": [0, 0], "pe": 9}
+    two = {"$sample": "random.list", "length": 2, "value": line}
+    assert len(satsim({"geometry.obs.list": [line, two]}).data["targets"]) == 3
+    stray = {"sample": "random.uniform", "low": 100, "high": 100}
+    assert satsim({"background": {"stray": stray}}).data["background"]["uniform_e_per_s"] == 100
+    lost = satsim({"background.stray": {"file": "a.pickle"}}).notes.left_out
+    assert "background.stray that differs between pixels" in lost
+
+
 def test_vignetting_is_an_image_of_the_field_angle(published, tmp_path):
     """From the middle of 256 rows and 320 columns; 20 um pixels of 0.061 arcsec a um."""
     imported = read(published / "peers" / "simsit.yaml")
