@@ -118,12 +118,42 @@ def _sensor(f: Fields, notes: Notes, images: Images, name: str) -> JsonObject:
     notes.converted.append(
         f"noise read {noise[0]:g} and electronic {noise[1]:g} e-: {math.hypot(*noise):.4g} e- rms"
     )
-    return (
-        sensor
-        | _shot_noise(f, notes)
-        | _digital(f)
-        | _maps(f, (rows, columns), images, name, notes)
-    )
+    _tell_of_subpixels(f, sigma, notes)
+    sensor |= _shot_noise(f, notes) | _digital(f)
+    sensor |= _maps(f, (rows, columns), images, name, notes)
+    top_dn = f.number("fpa.a2d.fwc", 1, 1e15) / sensor["gain_e_per_dn"]
+    if sensor["read_noise_e"] and top_dn < 2 ** sensor["adc_bits"] - 1:
+        notes.left_out.append(
+            f"a2d.fwc: SatSim cuts off read noise, too, so that no pixel exceeds {top_dn:.6g} "
+            "DN; here a full pixel has that with its read noise"
+        )
+    return sensor
+
+
+def _subpixels(f: Fields) -> float:
+    """How many subpixels SatSim draws a pixel with, along a row or column."""
+    old = f.get("sim.spacial_osf")
+    return f.number("sim.spatial_osf", 1, 1e3, 1 if old is None else old)
+
+
+def _tell_of_subpixels(f: Fields, sigma_px: float, notes: Notes) -> None:
+    """What drawing points on subpixels does to SatSim's images; ours are continuous."""
+    n = _subpixels(f)
+    if f.get("sim.mode") == "none":
+        notes.left_out.append("sim.mode none: SatSim draws no image; a scene is drawn")
+    if f.get("sim.point_rendering") == "floor":
+        notes.left_out.append(
+            f"sim.point_rendering floor: SatSim's sources stand up to {1 / n:.2g} px up and left"
+        )
+        return
+    # A point between two subpixels is shared by them, which adds up to 1/4 of a subpixel squared;
+    # light is sampled at their middles, where a pixel's 1/12 would count each whole.
+    wider = math.sqrt(1.0 + 1.0 / (6.0 * n**2 * (sigma_px**2 + 1.0 / 12.0))) - 1.0
+    if wider > 0.005:
+        notes.left_out.append(
+            f"subpixels: SatSim draws points on {n:g} a pixel, which makes its images up to "
+            f"{100 * wider:.2g}% wider"
+        )
 
 
 def _shot_noise(f: Fields, notes: Notes) -> JsonObject:
@@ -230,12 +260,19 @@ def _boresight(f: Fields, notes: Notes) -> tuple[float, float]:
         return RA_DEG, DEC_DEG
     ra_deg = f.number("geometry.stars.ra", -360, 360, 0.0) % 360.0
     dec_deg = f.number("geometry.stars.dec", -90, 90, 0.0)
-    notes.converted.append(f"stars about RA {ra_deg:g}, Dec {dec_deg:g} deg: the boresight")
-    turn = f.number("geometry.stars.rotation", -360, 360, 0.0)
-    notes.left_out.append(
-        f"geometry.stars.rotation {turn:g} deg: +y is north; SatSim's columns grow with right "
-        "ascension unless it flips them, a scene's against it"
+    notes.converted.append(
+        f"stars about RA {ra_deg:g}, Dec {dec_deg:g} deg: the boresight, in the middle; SatSim's "
+        f"stars stand half a subpixel, {0.5 / _subpixels(f):.2g} px, further down and right"
     )
+    turn = f.number("geometry.stars.rotation", -360, 360, 0.0)
+    if f.get("fpa.flip_left_right"):
+        if turn:
+            notes.left_out.append(f"geometry.stars.rotation {turn:g} deg: +y is north")
+    else:
+        notes.left_out.append(
+            f"geometry.stars.rotation {turn:g} deg: +y is north; SatSim's columns grow with right "
+            "ascension unless it flips them, a scene's against it"
+        )
     return ra_deg, dec_deg
 
 
@@ -245,8 +282,8 @@ def _pointing(
     """Stars that move by so many pixels a second are a boresight that moves the other way."""
     step = math.degrees(sensor["pixel_pitch_um"] * 1e-6 / sensor["focal_length_m"]) * 3600
     at = dict(zip(("boresight_ra_deg", "boresight_dec_deg"), boresight_deg, strict=True))
-    if not f.has("geometry.stars.motion"):
-        return {"mode": "sidereal", **at}
+    if not f.has("geometry.stars.motion") or f.get("geometry.site") is not None:
+        return {"mode": "sidereal", **at}  # of a site, stars move as its track has it
     mode = f.get("geometry.stars.motion.mode")
     if mode not in ("affine", "affine-polar", "none"):
         raise BadInput("geometry.stars.motion.mode", mode, "affine, affine-polar or none")
@@ -266,6 +303,13 @@ def _pointing(
         f"stars move by ({row:.4g}, {column:.4g}) px/s (row, column): the boresight by "
         f"({column * step:.5g}, {-row * step:.5g}) arcsec/s in RA and Dec"
     )
+    streak_px = math.hypot(row, column) * f.number("fpa.time.exposure", 1e-9, 1e5)
+    steps = f.get("sim.temporal_osf", "auto")
+    if isinstance(steps, int | float) and streak_px > 0.5 * max(steps - 1, 0):
+        notes.left_out.append(
+            f"sim.temporal_osf {steps:g}: SatSim draws a star so often from the start to the "
+            f"end of its streak of {streak_px:.4g} px (once: at the start); here it is continuous"
+        )
     return {
         "mode": "rate",
         **at,

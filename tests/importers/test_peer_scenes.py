@@ -205,6 +205,50 @@ def test_shot_noise_is_switched_off_as_the_file_says(satsim):
         satsim({"sim.enable_shot_noise": 1})
 
 
+def test_what_satsim_draws_otherwise_is_told(satsim):
+    """SatSim 0.27.1: a Gaussian of 0.665 px (with its pixel 0.725) is up to 0.831 px wide on 1
+    subpixel a pixel; on 5, floor, a point of column 119.692 stands at 119.500; full pixels of 2
+    e-/DN have 20,000 DN each despite 15 e- of read noise.
+    """
+    motion = {"mode": "affine", "rotation": 0.0, "translation": [3, -4]}  # 4 px in 0.8 s
+
+    def lost(n, **sim):
+        changes = {f"sim.{k}": v for k, v in sim.items()}
+        changes |= {"geometry.stars.motion": motion, "sim.spacial_osf": n, "fpa.psf.eod": 0.3}
+        return " ".join(satsim(changes).notes.left_out)
+
+    assert "SatSim draws points on 1 a pixel, which makes its images up to 15% wider" in lost(1)
+    assert "subpixels" in lost(3)
+    assert "subpixels" not in lost(3, spatial_osf=15)
+    assert "SatSim's sources stand up to 0.2 px up and left" in lost(5, point_rendering="floor")
+    assert "SatSim draws no image" in lost(5, mode="none")
+    assert "temporal_osf 8: SatSim draws a star so often" in lost(5, temporal_osf=8)
+    assert "temporal_osf" not in lost(5, temporal_osf=9) + lost(5, temporal_osf="auto")
+    full = "a2d.fwc: SatSim cuts off read noise, too, so that no pixel exceeds 36000 DN"
+    assert full in lost(5)
+    silent = satsim({"fpa.noise": {"read": 0, "electronic": 0}}).notes.left_out
+    assert "cuts off" not in " ".join(silent)
+
+
+def test_stars_of_a_site_do_not_move_as_the_file_says(satsim):
+    """SatSim 0.27.1 takes their motion from the site's track, and ignores that of the stars."""
+    found = satsim({"geometry.site": {"lat": "1 N"}})
+    assert found.data["pointing"]["mode"] == "sidereal"
+    assert "stars move by" not in " ".join(found.notes.converted)
+
+
+def test_columns_that_satsim_flips_are_those_of_a_scene(satsim):
+    """Its stars then stand where ours do, to the 0.033 px of half of its 15 subpixels."""
+    stars = {"mode": "csv", "path": "sst", "ra": 83.0, "dec": 60.0, "motion": {"mode": "none"}}
+    found = satsim(
+        {"geometry.stars": stars, "fpa.flip_left_right": True, "sim.spacial_osf": 15}
+    ).notes
+    assert "half a subpixel, 0.033 px, further down and right" in " ".join(found.converted)
+    assert found.left_out[-1].startswith("geometry.stars: those of mode csv")
+    assert "rotation" not in " ".join(found.left_out)
+    assert "flip" not in " ".join(found.left_out)
+
+
 def test_stray_light_is_of_every_pixel(satsim):
     """SatSim adds it to the sky [e-/s]; an image of it is named as lost."""
     (sky,), (both,), (alone,) = (
