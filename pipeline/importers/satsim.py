@@ -13,7 +13,7 @@ from scipy.special import erfinv
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.importers.imported import Fields, Imported, Notes, read_bytes, scene_name
-from pipeline.importers.placing import Wanted, electrons_of_sunlight, far_observer, place
+from pipeline.importers.placing import Wanted, astray, electrons_of_sunlight, far_observer, place
 from pipeline.importers.satsim_values import settled
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
@@ -76,7 +76,12 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
     ]
     notes.assumed += drawn
     notes.left_out += [f"{key}: no such thing in a scene" for key in fields.unused()]
-    return Imported(f"SatSim {path.name}", place(data, wanted), images, notes)
+    data = place(data, wanted)
+    if (off_px := astray(data, wanted)) > 0.01:
+        notes.left_out.append(
+            f"lines: up to {off_px:.2g} px off between the first exposure and the last"
+        )
+    return Imported(f"SatSim {path.name}", data, images, notes)
 
 
 def _sensor(f: Fields, notes: Notes, images: Images, name: str) -> JsonObject:
