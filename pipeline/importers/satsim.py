@@ -56,6 +56,7 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
         "name": scene_name(path),
         "epoch": epoch,
         "seed": seed,
+        "accept": ["sun"],
         "observer": far_observer(ra_deg, dec_deg),
         "sensor": sensor,
         "pointing": _pointing(fields, (ra_deg, dec_deg), sensor, notes),
@@ -73,6 +74,7 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
         f"{ra_deg:g}, Dec {dec_deg:g} deg: the file places targets on pixels, not in space",
         f"a pixel pitch of {PITCH_UM:g} um, with the focal length that gives the field of view",
         "band bessell-V, with the aperture that gives the zero point to a star like the Sun",
+        "accept sun: SatSim looks anywhere at any time",
     ]
     notes.assumed += drawn
     notes.left_out += [f"{key}: no such thing in a scene" for key in fields.unused()]
@@ -93,7 +95,8 @@ def _sensor(f: Fields, notes: Notes, images: Images, name: str) -> JsonObject:
     if not math.isclose(y_deg / rows, x_deg / columns, rel_tol=1e-3):
         notes.left_out.append(
             f"pixels of {3600 * y_deg / rows:.4g} x {3600 * x_deg / columns:.4g} arcsec: ours are "
-            "square, of the same area; places and motions in pixels are kept"
+            "square, of the same area; places and motions in pixels are kept, those of a "
+            "catalogue's stars are not"
         )
     zero = f.number("fpa.zeropoint", -10, 60)
     sensor: JsonObject = {
@@ -137,8 +140,8 @@ def _sensor(f: Fields, notes: Notes, images: Images, name: str) -> JsonObject:
 
 def _subpixels(f: Fields) -> float:
     """How many subpixels SatSim draws a pixel with, along a row or column."""
-    old = f.get("sim.spacial_osf")
-    return f.number("sim.spatial_osf", 1, 1e3, 1 if old is None else old)
+    key = "sim.spatial_osf" if f.has("sim.spatial_osf") else "sim.spacial_osf"
+    return f.number(key, 1, 1e3) if f.has(key) else math.inf
 
 
 def _tell_of_subpixels(f: Fields, sigma_px: float, notes: Notes) -> None:

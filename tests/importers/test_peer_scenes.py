@@ -193,6 +193,13 @@ def test_lines_are_straight_and_even_in_wide_fields_too(satsim):
     assert any(told.startswith("lines: up to 0.") for told in lost)
 
 
+def test_a_file_that_looks_at_the_sun_is_drawn(satsim, tmp_path):
+    """SatSim 0.27.1 draws such a file as any other; in late September ours look at the Sun."""
+    satsim({"geometry.time": [2015, 9, 23, 9, 0, 0.0]}).write(tmp_path / "scene.yaml")
+    plan = plan_scene(load_scene(tmp_path / "scene.yaml"))
+    assert any("the Sun is in the field" in told for told in plan["warnings"])
+
+
 @pytest.mark.parametrize(("y_fov", "row_px_s"), [(0.2, 2.0), (0.4, 1.0)])
 def test_speeds_in_arcsec_are_told_in_pixels(satsim, y_fov, row_px_s):
     """A pixel is 9 arcsec wide, and 9 or 18 high; speeds in pixels are the default."""
