@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erfinv
+from scipy.special import erf, erfinv
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
@@ -149,6 +149,14 @@ def _tell_of_subpixels(f: Fields, sigma_px: float, notes: Notes) -> None:
     n = _subpixels(f)
     if f.get("sim.mode") == "none":
         notes.left_out.append("sim.mode none: SatSim draws no image; a scene is drawn")
+    if f.get("sim.mode") == "epsf":
+        side = f.whole("sim.epsf.kernel_size", 1, 99_999)
+        near, far = erf((side + np.array([-1.0, 1.0])) / (math.sqrt(8.0) * sigma_px))
+        if (lost := 1.0 - (0.5 * (near + far)) ** 2) > 1e-3:  # between four pixels
+            notes.left_out.append(
+                f"sim.epsf.kernel_size {side}: SatSim draws no light beyond; up to "
+                f"{100 * lost:.2g}%"
+            )
     if f.get("sim.point_rendering") == "floor":
         notes.left_out.append(
             f"sim.point_rendering floor: SatSim's sources stand up to {1 / n:.2g} px up and left"

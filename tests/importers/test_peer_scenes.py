@@ -236,8 +236,9 @@ def test_shot_noise_is_switched_off_as_the_file_says(satsim):
 
 def test_what_satsim_draws_otherwise_is_told(satsim):
     """SatSim 0.27.1: a Gaussian of 0.665 px (with its pixel 0.725) is up to 0.831 px wide on 1
-    subpixel a pixel; on 5, floor, a point of column 119.692 stands at 119.500; full pixels of 2
-    e-/DN have 20,000 DN each despite 15 e- of read noise.
+    subpixel a pixel, and lacks 0.26% of its light in an epsf kernel of 5 px; on 5, floor, a point
+    of column 119.692 stands at 119.500; full pixels of 2 e-/DN have 20,000 DN each despite 15 e-
+    of read noise.
     """
     motion = {"mode": "affine", "rotation": 0.0, "translation": [3, -4]}  # 4 px in 0.8 s
 
@@ -251,6 +252,9 @@ def test_what_satsim_draws_otherwise_is_told(satsim):
     assert "subpixels" not in lost(3, spatial_osf=15)
     assert "SatSim's sources stand up to 0.2 px up and left" in lost(5, point_rendering="floor")
     assert "SatSim draws no image" in lost(5, mode="none")
+    table = lost(5, mode="epsf", epsf={"kernel_size": 5})
+    assert "kernel_size 5: SatSim draws no light beyond; up to 0.26%" in table
+    assert "kernel" not in lost(5, mode="epsf", epsf={"kernel_size": 9})
     assert "temporal_osf 8: SatSim draws a star so often" in lost(5, temporal_osf=8)
     assert "temporal_osf" not in lost(5, temporal_osf=9) + lost(5, temporal_osf="auto")
     full = "a2d.fwc: SatSim cuts off read noise, too, so that no pixel exceeds 36000 DN"
