@@ -32,15 +32,10 @@ def settled(value: object, rng: np.random.Generator, told: list[str], where: str
     if where.count(".") > DEPTH:
         raise BadInput(where[:60], "nested too deeply", f"at most {DEPTH} levels")
     if isinstance(value, list):
-        out: list[object] = []
-        for i, v in enumerate(value):
-            one = settled(v, rng, told, f"{where}.{i}")
-            # What draws a list stands for its items.
-            out += one if isinstance(one, list) and isinstance(v, dict) else [one]
-        return out
+        return _items(value, rng, told, where)
     if not isinstance(value, dict):
         return value
-    value = {f"${k}" if k in OLD else k: v for k, v in value.items()}
+    value = _renamed(value)
     if "$sample" in value:
         return _drawn(value, rng, told, where)
     if "$pipeline" in value:
@@ -50,6 +45,22 @@ def settled(value: object, rng: np.random.Generator, told: list[str], where: str
             raise BadInput(f"{where}.{key}", value[key], "$sample or $pipeline")
     before = f"{where}." * bool(where)
     return {k: settled(v, rng, told, f"{before}{k}") for k, v in value.items()}
+
+
+def _items(
+    values: list[object], rng: np.random.Generator, told: list[str], where: str
+) -> list[object]:
+    """A list's items; what draws a list stands for the items of that."""
+    out: list[object] = []
+    for i, value in enumerate(values):
+        one = settled(value, rng, told, f"{where}.{i}")
+        out += one if isinstance(one, list) and isinstance(value, dict) else [one]
+    return out
+
+
+def _renamed(value: Node) -> Node:
+    """A mapping with the names that are OLD as they are now."""
+    return {f"${k}" if k in OLD else k: v for k, v in value.items()}
 
 
 def _drawn(value: Node, rng: np.random.Generator, told: list[str], where: str) -> object:
@@ -84,7 +95,7 @@ def _seeded(value: object, own: np.random.RandomState | None) -> Any:
         return value
     if isinstance(value, list):
         return [_seeded(v, own) for v in value]
-    out = {f"${k}" if k in OLD else k: v for k, v in value.items()}
+    out = _renamed(value)
     if "$sample" in out and out.get("seed") is None:
         out["seed"] = int(own.randint(0, 2**32, dtype=np.int64))
     return {k: v if k == "seed" else _seeded(v, own) for k, v in out.items()}
