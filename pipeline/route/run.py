@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
 from catalog_tools.engine.addresses import check_scheduler
-from catalog_tools.engine.schedulers import open_scheduler
+from catalog_tools.engine.schedulers import Scheduler, open_scheduler
 from pipeline.errors import BadInput, Incomplete, NightglassError, TryLater
 from pipeline.route.draw import Listener, Progress, draw
 from pipeline.route.finish import finish
@@ -92,14 +95,21 @@ def render(
         check_cost(scene, summary, options.most_cpu_s)
         if options.processes or options.most_memory_mb:
             check_room(prepared, options.most_memory_mb, options.processes)
-        with place.written(_claim(prepared, options, share)) as writing:
-            if writing.is_sealed((share or WHOLE).tiles(prepared.plan)):
-                return writing.report()
-            writing.unseal()
-            writing.put_plan(layout.to_json(summary))
-            times = _drawn(prepared, place, writing, options, listen, share, started)
-            if share is None:
-                return _finished(prepared, writing, times)
+        times: JsonObject = {"plan_s": time.perf_counter() - started}
+        with ExitStack() as drawing:  # open before an old product is removed
+            scheduler = _opened(options, place, share, drawing)
+            with place.written(_claim(prepared, options, share)) as writing:
+                if writing.is_sealed((share or WHOLE).tiles(prepared.plan)):
+                    return writing.report()
+                writing.unseal()
+                writing.put_plan(layout.to_json(summary))
+                heard = partial(_heard, writing, listen)
+                with _explained(place, writing, share), drawing:
+                    draw(prepared, writing.begun, scheduler, heard, share or WHOLE)
+                times["draw_s"] = time.perf_counter() - started - times["plan_s"]
+                times |= {"workers": scheduler.workers, "scheduler": options.scheduler}
+                if share is None:
+                    return _finished(prepared, writing, times)
         return _joined_by_the_last(place, prepared, share, times)
 
 
@@ -147,38 +157,31 @@ def _claim(prepared: Prepared, options: Options, share: Share | None) -> Claim:
     )
 
 
-def _drawn(
-    prepared: Prepared,
-    place: Place,
-    writing: Writing,
-    options: Options,
-    listen: Listener | None,
-    share: Share | None,
-    started: float,
-) -> JsonObject:
-    """Draw what a share lacks; what the report says of the time. started : when planning began."""
-    drawing = time.perf_counter()
-
-    def heard(progress: Progress) -> None:
-        writing.check()
-        if listen is not None:
-            listen(progress)
-
+def _opened(options: Options, place: Place, share: Share | None, stack: ExitStack) -> Scheduler:
+    """The scheduler that is asked for, as long as the stack is open."""
     try:
-        with open_scheduler(options.scheduler, options.workers) as scheduler:
-            draw(prepared, writing.begun, scheduler, heard, share or WHOLE)
-            workers = scheduler.workers
+        return stack.enter_context(open_scheduler(options.scheduler, options.workers))
+    except NightglassError as error:
+        raise _how_to_go_on(error, place.tiles() > 0, share is None) from None
+
+
+def _heard(writing: Writing, listen: Listener | None, progress: Progress) -> None:
+    """The place is still ours, and whoever listens hears of the progress."""
+    writing.check()
+    if listen is not None:
+        listen(progress)
+
+
+@contextmanager
+def _explained(place: Place, writing: Writing, share: Share | None) -> Iterator[None]:
+    """Of an error that ends the drawing: what it leaves behind, and how to go on."""
+    try:
+        yield
     except NightglassError as error:
         kept = share is not None or place.tiles() > 0
         if not kept:
             writing.discard()  # nothing was finished, so nothing is left behind
         raise _how_to_go_on(error, kept, share is None) from None
-    return {
-        "plan_s": drawing - started,
-        "draw_s": time.perf_counter() - drawing,
-        "workers": workers,
-        "scheduler": options.scheduler,
-    }
 
 
 def _how_to_go_on(error: NightglassError, kept: bool, whole: bool) -> NightglassError:

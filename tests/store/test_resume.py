@@ -6,6 +6,7 @@ import contextlib
 import copy
 import json
 import shutil
+import socket
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -143,6 +144,15 @@ def test_a_sweep_or_study_is_never_taken_for_a_product(starry, tmp_path, record)
 def test_a_product_is_not_replaced_where_nothing_could_be_drawn(product, starry, options):
     with pytest.raises(BadInput, match=r"^--(replace|workers|scheduler): "):
         render(starry[0], product, Options(**{"replace": True} | options))
+    assert check(product).whole
+
+
+def test_a_product_is_not_replaced_where_no_scheduler_answers(product, starry):
+    with socket.socket() as nobody:  # bound, but not listening
+        nobody.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{nobody.getsockname()[1]}"
+        with pytest.raises(TryLater, match="what is finished is kept"):
+            render(starry[0], product, Options(address, replace=True))
     assert check(product).whole
 
 
