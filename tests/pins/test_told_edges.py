@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 from ruamel.yaml import YAML
@@ -21,7 +22,7 @@ from tests.pins.files import write_files
 from tests.pins.told import TOLD, check_told
 
 # How many scenes each stored text has: one that is lost is a fault.
-SCENES_AT = {"sky": 47, "pointing": 39, "targets": 37, "sensor": 38}
+SCENES_AT = {"sky": 47, "pointing": 39, "targets": 37, "sensor": 38, "decisions": 34}
 
 
 @pytest.fixture(scope="module")
@@ -30,15 +31,24 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @cache
-def told_of(name: str, changes: str, files: Path) -> tuple[str, ...]:
-    """The refusal of a pinned scene with changes, or its warnings and remarks."""
+def told_of(group: str, name: str, changes: str, files: Path) -> tuple[str, ...]:
+    """The refusal of a pinned scene with changes, or its warnings and remarks, or decisions."""
     with embedded_spectra():
         try:
             data = scene_data(name, files, YAML(typ="safe").load(changes))
             plan = plan_scene(parse_scene(data))
         except NightglassError as error:
             return (f"! {error}",)
-    return (*(f"* {w}" for w in plan["warnings"]), *(f"- {r}" for r in plan["remarks"]))
+    told = [*(f"* {w}" for w in plan["warnings"]), *(f"- {r}" for r in plan["remarks"])]
+    if group == "decisions":
+        told = [_decided(d) for d in plan["decisions"]]
+    return tuple(told)
+
+
+def _decided(d: dict[str, Any]) -> str:
+    """A decision in one line, its bound to four digits."""
+    bound = "no bound" if d["error_bound_e"] is None else f"{d['error_bound_e']:.4g} e-"
+    return f"{'+' if d['kept'] else '-'} {d['component']}: {d['reason']} [{bound}]"
 
 
 @pytest.mark.parametrize("group", SCENES_AT)
@@ -49,6 +59,6 @@ def test_edges(group: str, files: Path) -> None:
     out = []
     for line in lines:
         name, _, changes = line.partition(" ")
-        always = told_of(name, "{}", files)
-        out += [line, *(f"    {t}" for t in told_of(name, changes, files) if t not in always)]
+        always, told = (told_of(group, name, c, files) for c in ("{}", changes))
+        out += [line, *(f"    {t}" for t in told if t not in always)]
     check_told(f"edges/{group}", "\n".join(out), files=files)
