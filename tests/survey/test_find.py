@@ -380,6 +380,17 @@ def test_an_orbit_without_an_epoch_begins_at_the_scenes(kind: str, tmp_path: Pat
     assert found[0] == found[1]
 
 
+def test_a_day_at_a_site_is_told() -> None:
+    """22:00 UTC in Hawaii is noon; by night there is nothing to say."""
+    path = ROOT / "examples" / "population.yaml"
+    epoch = load_scene(path).epoch[:10]
+    dark = [
+        any("never dark" in note for note in find(load_scene(path), FindOptions(at=at)).notes)
+        for at in (f"{epoch}T22:00:00Z", f"{epoch}T09:00:00Z")
+    ]
+    assert dark == [True, False]
+
+
 def test_notes_say_which_limits_hold() -> None:
     """Those of the field of regard, and the camera's own where it is the larger."""
     path, wish = ROOT / "examples" / "population.yaml", FindOptions(at="2019-04-20T06:00:00Z")
