@@ -200,8 +200,8 @@ def _filled(resolved: ResolvedScene, maps: SensorMaps, sampled: NDArray[np.int64
     more = f" there, and in {len(full) - 1} more of {len(looked_at)} frames looked at"
     return [
         f"sky and dark current alone give a typical pixel {empty_e:.3g} e- in frame {full[0]}, "
-        f"which fills it ({resolved.full_e:.3g} e-, its full well or the converter's top): no "
-        f"source shows{more if len(full) > 1 else ''}"
+        f"which fills it ({resolved.full_e:.3g} e- above the bias, its full well or the top of the "
+        f"converter): no source shows{more if len(full) > 1 else ''}"
     ]
 
 

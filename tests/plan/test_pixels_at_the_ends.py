@@ -47,7 +47,7 @@ def test_a_full_converter_is_told_where_a_term_is_an_image(tmp_path: Path, name:
     told = warnings(**{name: str(tmp_path / "image.npy")})
     assert told == warnings()
     assert len(told) == 1
-    assert "(5.39e+03 e-, its full well or the converter's top)" in told[0]  # (4095 - 500) 1.5
+    assert "(5.39e+03 e- above the bias, its full well or the top of" in told[0]  # (4095 - 500) 1.5
 
 
 def test_a_full_converter_is_told_of_amplifiers() -> None:
@@ -56,7 +56,7 @@ def test_a_full_converter_is_told_of_amplifiers() -> None:
     assert len(told) == 1
     assert "fill 25.0% of the pixels" in told[0]
     (whole,) = warnings(adc_bits=16, detector={"amplifiers": [part | {"columns": [0, 64]}]})
-    assert "(6.5e+03 e-, its full well or the converter's top)" in whole
+    assert "(6.5e+03 e- above the bias, its full well or the top of" in whole
     assert not warnings(adc_bits=16)
 
 
@@ -147,5 +147,5 @@ def test_limits_a_bias_that_leaves_no_room(bias_dn: float) -> None:
     scene = ball(1e5, 4.0, True)
     sensor = scene.sensor.model_copy(update={"adc_bits": 16, "bias_dn": bias_dn})
     told = prepare(scene.model_copy(update={"sensor": sensor})).plan.warnings
-    assert [w for w in told if "(0 e-, its full well or the converter's top)" in w]
+    assert [w for w in told if "(0 e- above the bias, its full well or the top of" in w]
     assert not [w for w in told if "fills pixels" in w]
