@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from tests.pins import refusals
 
 # The first call of a function compiles it: no deadline. The same examples in every run, so that a
 # change is judged by its own tests; `make test-slow` looks for new ones.
 settings.register_profile("steady", deadline=None, derandomize=True)
 settings.register_profile("search", deadline=None)
 settings.load_profile("steady")
+refusals.listen()
+
+
+@pytest.fixture(autouse=True)
+def words_of_refusals(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[None]:
+    """What a test is refused is said in the words that are stored."""
+    yield from refusals.hold(request.node, tmp_path_factory.getbasetemp())
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

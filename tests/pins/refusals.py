@@ -1,0 +1,91 @@
+"""Pinned refusals: each error that a test expects is held against its stored words, in full.
+
+A test asks of an error by `pytest.raises` what it is about, often a field and a word; the rest of
+the message, with its figures, is held against told/refusals/ (a file for each file of tests).
+`NIGHTGLASS_PINS=anew` in the environment stores what is said by the tests that are run.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import pytest
+
+from pipeline.errors import BadInput, Damaged
+from tests.pins.told import ANEW, TOLD, alike
+
+ROOT = Path(__file__).resolve().parents[2]
+_VARIES = re.compile(r"…|://")  # what is cut off amid a path, and places with ports
+_raises = pytest.raises
+_said: list[str] = []
+
+
+class _Heard:
+    """A `pytest.raises` that notes what the error says."""
+
+    def __init__(self, context: Any) -> None:
+        self._context = context
+
+    def __enter__(self) -> Any:
+        return self._context.__enter__()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> Any:
+        expected = self._context.__exit__(kind, error, trace)
+        if isinstance(error, BadInput | Damaged):
+            _said.append(str(error))
+        return expected
+
+
+def listen() -> None:
+    """From now on, errors that tests expect are noted."""
+
+    def raises(expected: Any, *args: Any, **options: Any) -> Any:
+        context = _raises(expected, *args, **options)
+        return context if args else _Heard(context)
+
+    pytest.raises = raises  # type: ignore[assignment]
+
+
+def hold(node: pytest.Item, base: Path) -> Iterator[None]:
+    """Around a test: AssertionError where it was refused something in other words than stored.
+
+    base : the folder of temporary folders
+    """
+    _said.clear()
+    yield
+    if getattr(getattr(node, "obj", None), "is_hypothesis_test", False):
+        return  # it is refused as many things as it tries
+    said = [re.sub(rf"{re.escape(str(base))}/[\w.-]*?\d+(?=/|\b)", "<folder>", s) for s in _said]
+    said = [s.replace(str(ROOT), "<root>").replace(str(ROOT.parent), "<beside>") for s in said]
+    said = [s for s in said if not _VARIES.search(s)]
+    name, path = node.nodeid.partition("::")[2], _file_of(node)
+    stored = json.loads(path.read_text()) if path.is_file() else {}
+    if os.environ.get(ANEW) == "anew":
+        if said and not _same(stored.get(name), said):
+            stored[name] = said
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(json.dumps(stored, indent=0, sort_keys=True, ensure_ascii=False) + "\n")
+    elif name in stored:
+        assert _same(stored[name], said), f"pinned: {stored[name]}\nsaid: {said}"
+
+
+def _file_of(node: pytest.Item) -> Path:
+    parts = node.path.relative_to(ROOT / "tests").with_suffix("").parts
+    return TOLD / "refusals" / f"{'.'.join(parts)}.json"
+
+
+def _same(stored: list[str] | None, said: list[str]) -> bool:
+    if stored is None or len(stored) != len(said):
+        return False
+    return all(a == b or alike(a, b) for a, b in zip(stored, said, strict=True))
