@@ -112,6 +112,18 @@ def test_files_that_cannot_be_used(tmp_path: Path, name: str) -> None:
     assert word in str(caught.value)
 
 
+def test_rows_may_begin_and_end_with_the_exposures(tmp_path: Path) -> None:
+    """Of three exposures, 10 s apart and 2 s long, the last ends at 22 s: no later row is due."""
+    path = tmp_path / "tight.csv"
+    path.write_text(HEAD + "0,0,0,0,1\n22,0,0,0,1\n")
+    made = gather_pointing(scene({"path": str(path)}))
+    assert np.array(made.pointing.rows)[:, 0].tolist() == [0.0, 22.0]  # type: ignore[union-attr]
+    for rows in ("0,0,0,0,1\n21.999,0,0,0,1\n", "0.001,0,0,0,1\n22,0,0,0,1\n"):
+        path.write_text(HEAD + rows)
+        with pytest.raises(BadInput, match="rows over all exposures, 0 to 22 s"):
+            gather_pointing(scene({"path": str(path)}))
+
+
 def test_files_that_are_no_tables(tmp_path: Path) -> None:
     for name, raw in (("a.fits", b"x"), ("a.parquet", b"x"), ("a.npy", b"x"), ("a.doc", b"x")):
         path = tmp_path / name

@@ -395,12 +395,13 @@ def test_shells_that_are_inside_out_are_turned(tmp_path):
 
 
 def test_facets_without_area_and_repeats_are_left_out(tmp_path):
-    more = CUBE + "f 1 1 2\nf 1 2 6 5\n"
+    """A facet without area that is repeated is told of as such alone."""
+    more = CUBE + "f 1 1 2\nf 1 1 2\nf 1 2 6 5\n"
     mesh = read_mesh(write(tmp_path, more), "m")
     assert len(mesh.corners_m) == 12
     assert mesh.closed.all()
-    assert any("without area" in n for n in mesh.notices)
-    assert any("repeated" in n for n in mesh.notices)
+    assert any("2 facets without area" in n for n in mesh.notices)
+    assert any("2 repeated facets" in n for n in mesh.notices)
 
 
 @pytest.mark.parametrize(

@@ -159,6 +159,20 @@ def test_without_a_map_the_star_counts_stand_in(scene, catalogue):
     assert "star counts" in told["background.starlight"]
 
 
+def test_beside_layers_the_source_of_undrawn_light_is_still_told(scene, mapped):
+    """A layer adds to what is known of the light of stars that are not drawn, and takes nothing."""
+    told = []
+    for catalogue in ("main", ["main", "layer"]):
+        changes = {"stars.faintest_g_mag": 14.0, "stars.catalogue": catalogue,
+                   "background": {"starlight": "all"}}  # fmt: skip
+        _, _, sky, _ = planned(scene, changes, (mapped,))
+        told += [d.reason for d in sky.decisions if d.component == "background.starlight"]
+    alone, layered = told
+    assert "stars that are not drawn: the catalogue's own map of order 6" in alone
+    assert layered.startswith(alone)
+    assert "stars that only the layers hold" in layered.removeprefix(alone)
+
+
 def test_a_limit_that_the_noise_sets_is_as_bright_as_it_may_be():
     none = np.zeros(limits_g_mag().size)
     falling = 10.0 ** (-0.4 * limits_g_mag())
