@@ -161,8 +161,9 @@ def test_limits_reentry_is_told() -> None:
     start = np.array([a, 0, 0, 0, np.sqrt(EARTH_GM_M3_S2 / a), 0.0])
     way = Trajectory(start, TT, Forces(drag_m2_kg=0.05), 1e-10)
     assert np.isfinite(way.states([600.0])[0]).all()
-    with pytest.raises(BadInput, match="re-entry"):
-        way.states([400_000.0], "targets.0.orbit")
+    for moments in ([400_000.0], [600.0, 400_000.0]):
+        with pytest.raises(BadInput, match="re-entry"):
+            way.states(moments, "targets.0.orbit")
 
 
 def test_limits_straight_into_the_centre_is_refused() -> None:
