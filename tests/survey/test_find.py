@@ -17,7 +17,7 @@ from pipeline.physics.positions.orbit import two_body
 from pipeline.physics.positions.orbit_screen import WHOLE, states_together
 from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.physics.vectors import from_angles, unit
-from pipeline.spec.load import load_scene
+from pipeline.spec.load import load_scene, parse_scene
 from pipeline.spec.scene import Scene
 from pipeline.spec.study import FieldOfRegard, Synthetic
 from pipeline.survey.elements import Elements, synthetic_elements
@@ -258,6 +258,20 @@ def test_what_sgp4_cannot_follow_is_told(tmp_path: Path) -> None:
     (tmp_path / "two.tle").write_text("\n".join(line for both in lines for line in both))
     told = shown("--night", "--step", "600", "--set", f"populations.0.path={tmp_path}/two.tle")
     assert "1 of 2 element sets omitted: SGP4 cannot follow them" in told["notes"]
+
+
+def test_the_elements_nearest_to_the_middle_of_the_search_are_followed(tmp_path: Path) -> None:
+    """The night of day 111, asked for at noon before it, is from about 5.5 to 15.3 h UTC; the sets
+    are of 4.8, 10.3 and 15.8 h."""
+    from tests.survey.test_elements import lines_of
+
+    sets = ((111.2, "EARLY"), (111.43, "MIDDLE"), (111.66, "LATE"))
+    path = tmp_path / "three.tle"
+    path.write_text("".join(lines_of(1, day, name, n=5.0) for day, name in sets))
+    data = load_scene(ROOT / "examples" / "population.yaml").as_dict()
+    data["populations"][0] |= {"path": str(path), "rules": []}
+    wish = FindOptions(at="2019-04-20T22:00:00Z", night=True, step_s=300.0, least_snr=0.01)
+    assert [row["name"] for row in find(parse_scene(data), wish).objects] == ["MIDDLE"]
 
 
 def test_old_elements_are_told(tmp_path: Path) -> None:

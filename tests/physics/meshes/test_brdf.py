@@ -57,6 +57,13 @@ def test_matt_and_phong_reflect_just_what_they_say_at_normal_incidence():
     assert _albedo(MODELS["phong"], UP) == pytest.approx(1.0, abs=1e-9)
 
 
+@pytest.mark.parametrize(("exponent", "wanted"), [(0.5, 0.281349), (2.5, 0.126607), (3, 0.099472)])
+def test_a_lobe_of_phong_falls_by_whole_and_broken_powers(exponent, wanted):
+    """60 deg from the mirror: (n + 2) / (2 pi) / 2**n (Lafortune & Willems 1994, eq. 10)."""
+    observer = _direction(np.pi / 3, 0.3)
+    assert brdf.phong(UP, UP, observer, 0.0, 1.0, exponent) == pytest.approx(wanted, rel=1e-5)
+
+
 def test_a_smooth_ggx_mirror_keeps_nearly_all_its_light():
     # what bounces twice between the microfacets is lost; for alpha = 0.1 about 1%
     assert 0.98 < _albedo(MODELS["foil"], UP) < 1.0
