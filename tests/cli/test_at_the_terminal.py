@@ -54,6 +54,17 @@ def interrupted(folder: Path, *arguments: str) -> tuple[int, str]:
     return process.returncode, said
 
 
+GROUPS = ["", "catalog", "cosmic-rays", "import", "jobs", "keys", "report"]
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_a_group_without_a_command_shows_its_help(group: str) -> None:
+    """The page of `--help`, and no word of a mistake."""
+    alone, asked = nightglass(*group.split()), nightglass(*group.split(), "--help")
+    assert f"Usage: nightglass {group}".strip() in asked.stdout
+    assert (alone.stdout.strip(), alone.stderr) == (asked.stdout.strip(), "")
+
+
 def test_ctrl_c_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None:
     """The command that it prints, word for word, ends with a whole product."""
     (tmp_path / "scene.json").write_text(json.dumps(SCENE))
