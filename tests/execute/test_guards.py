@@ -11,9 +11,10 @@ from pipeline.arrays import SensorMaps
 from pipeline.errors import NightglassError
 from pipeline.execute import light as light_module
 from pipeline.execute.guards import guard_mean, guard_places
-from pipeline.execute.sources import place_stars
+from pipeline.execute.sources import FrameTarget, place_stars
 from pipeline.execute.tile import TileSources, render_tile
 from pipeline.physics.drawing import stamps
+from pipeline.physics.motion.streak import POINT
 from pipeline.plan.tiles import Tile
 from tests.execute.test_engines import SIDE, WHOLE, field, geometry_of, plan_of
 
@@ -79,6 +80,20 @@ def test_light_that_is_lost_or_made_is_seen(plan, factor, monkeypatch):
     monkeypatch.setattr(light_module, "draw_stamps", wrong)
     with pytest.raises(NightglassError, match=r"frame 0.*stars_e holds .* e-, where its sources"):
         render(plan, stars())
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_light_of_targets_that_is_lost_or_made_is_told_of_their_layer(plan, factor, monkeypatch):
+    right, target = light_module._draw_path, FrameTarget(0, 60.2, 70.7, POINT, 1e4)
+
+    def wrong(*given):
+        right(*given[:-1], factor * given[-1])
+
+    monkeypatch.setattr(light_module, "place_targets", lambda plan, g: [target])
+    light_module.draw_targets(plan, geometry_of(plan), WHOLE, [])
+    monkeypatch.setattr(light_module, "_draw_path", wrong)
+    with pytest.raises(NightglassError, match=r"frame 0.*targets_e holds .* e-, where its sources"):
+        light_module.draw_targets(plan, geometry_of(plan), WHOLE, [])
 
 
 def test_a_part_of_the_frame_holds_a_part_of_the_light(plan):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from catalog_tools.ingest.ingest import ingest
-from pipeline.inputs.stars.stars import gather_leaf
+from pipeline.inputs.stars.stars import brightest_g_mags, gather_leaf
 from pipeline.physics.colour import ColourFit
 
 FIT = ColourFit("flat", np.zeros(1), (-1.0, 4.0), 0.0, 0.0, 0.8, 0.4, 0.0, 1e10, "by hand", 1)
@@ -52,3 +52,20 @@ def test_what_a_scene_leaves_out(catalogue):
     motions = still.pm_ra_cosdec_rad_yr, still.pm_dec_rad_yr, still.radial_velocity_m_s
     assert np.isnan(motions).all()
     assert still.parallax_rad[0] > 0.0
+
+
+def test_the_brightest_of_each_leaf_where_pixels_of_two_orders_share_a_number(tmp_path):
+    """By the stars' own magnitudes; those of order 1 are the parts of a crowded base pixel."""
+    rng = np.random.default_rng(3)
+    ra, dec = rng.uniform(0.0, 360.0, 90), np.degrees(np.arcsin(rng.uniform(-1.0, 1.0, 90)))
+    ra[:60], dec[:60] = rng.uniform(20.0, 70.0, 60), rng.uniform(10.0, 60.0, 60)
+    head = "source_id,ref_epoch,ra,dec,phot_g_mean_mag"
+    rows = [f"{k},2015.5,{ra[k]},{dec[k]},{5 + k / 10}" for k in range(90)]
+    (tmp_path / "a.csv").write_text("\n".join([head, *rows]))
+    made = ingest([tmp_path / "a.csv"], tmp_path / "c", rows_per_leaf=30, workers=1).catalogue
+    numbers = made.leaf_table["pixel"].tolist()
+    assert len(set(numbers)) < len(numbers)
+    for leaf in made.leaves:
+        g_mag = gather_leaf(made, leaf, None, FIT, 1.0).g_mag
+        assert brightest_g_mags(made, leaf, None).min() == pytest.approx(g_mag.min(), abs=1e-5)
+        assert brightest_g_mags(made, leaf, g_mag.min() - 0.05).size == 0
