@@ -62,8 +62,8 @@ def connect(url: str) -> sa.Engine:
 def _not_opened(error: sa.exc.DBAPIError, parts: sa.URL, kind: str, shown: str) -> NightglassError:
     """Why a database could not be opened, without its password."""
     reason = " ".join(str(error.orig).split())[:200]
-    if kind == "sqlite" and _no_room(parts.database or "", reason):
-        return DiskFull(shown, errno.ENOSPC, "make room, then start again")
+    if kind == "sqlite" and (code := _no_room(parts.database or "", reason)):
+        return DiskFull(shown, code, "make room, then start again")
     if parts.password:
         reason = reason.replace(str(parts.password), "***")
     if _may_come(kind, error, reason):
@@ -88,15 +88,16 @@ def _may_come(kind: str, error: sa.exc.DBAPIError, reason: str) -> bool:
     return isinstance(error, sa.exc.OperationalError) and not any(m in reason for m in MISTAKES)
 
 
-def _no_room(path: str, reason: str) -> bool:
-    """Whether a database of SQLite could not be opened for lack of room, which it says or hides."""
+def _no_room(path: str, reason: str) -> int:
+    """The errno of the lack of room that a database of SQLite could not be opened for, which it
+    says or hides; 0 where it was something else."""
     if "unable to open" in reason:  # it, or a file beside it
         try:
             with tempfile.TemporaryFile(dir=Path(path).parent) as probe:
                 probe.write(bytes(4096))
         except OSError as error:
-            return error.errno in NO_ROOM
-    return "disk is full" in reason or "disk I/O error" in reason
+            return error.errno if error.errno in NO_ROOM else 0
+    return errno.ENOSPC if "disk is full" in reason or "disk I/O error" in reason else 0
 
 
 ALLOWED = "sqlite:////path/to/jobs.sqlite or postgresql://user@host/name"

@@ -642,7 +642,7 @@ def test_starts(clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         error = OperationalError("s", {}, Exception(text))
         lines.append(f"{kind} {text}: may come {database._may_come(kind, error, text)}")
     for text in ("disk is full", "disk I/O error", "unable to open", "locked"):
-        lines.append(f"{text}: no room {database._no_room(str(tmp_path / 'x'), text)}")
+        lines.append(f"{text}: no room {bool(database._no_room(str(tmp_path / 'x'), text))}")
     lines += [
         told(connect, url) for url in ("no url", "mysql://u:secret@h/x", "sqlite:///no/x.sqlite")
     ]

@@ -7,26 +7,29 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import sqlalchemy as sa
 
+from pipeline.errors import DiskFull
 from service.store import database
 
 
 @pytest.mark.parametrize(
-    ("reason", "code", "full"),
+    ("reason", "code", "told"),
     [
-        ("unable to open database file", errno.ENOSPC, True),
-        ("unable to open database file", errno.EDQUOT, True),
-        ("unable to open database file", errno.EACCES, False),
-        ("unable to open database file", 0, False),
-        ("database or disk is full", 0, True),
-        ("disk I/O error", 0, True),
-        ("file is not a database", errno.ENOSPC, False),
+        ("unable to open database file", errno.ENOSPC, "full (No space left on device); make room"),
+        ("unable to open database file", errno.EDQUOT, "full (Disk quota exceeded); make room"),
+        ("unable to open database file", errno.EACCES, None),
+        ("unable to open database file", 0, None),
+        ("database or disk is full", 0, "full (No space left on device); make room"),
+        ("disk I/O error", 0, "full (No space left on device); make room"),
+        ("file is not a database", errno.ENOSPC, None),
     ],
 )
 def test_sqlite_says_or_hides_that_there_is_no_room(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reason: str, code: int, full: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reason: str, code: int, told: str | None
 ) -> None:
-    """Where it only says that a file cannot be opened, one is written beside the table."""
+    """Where it only says that a file cannot be opened, one is written beside the table, and what
+    that met is told."""
     made = database.tempfile.TemporaryFile
 
     def temporary(**given: Any) -> Any:
@@ -36,4 +39,8 @@ def test_sqlite_says_or_hides_that_there_is_no_room(
         return made(**given)
 
     monkeypatch.setattr(database.tempfile, "TemporaryFile", temporary)
-    assert database._no_room(str(tmp_path / "jobs.sqlite"), reason) is full
+    url = sa.make_url(f"sqlite:///{tmp_path}/jobs.sqlite")
+    error = sa.exc.OperationalError("begin", {}, Exception(reason))
+    said = database._not_opened(error, url, "sqlite", "jobs.sqlite")
+    assert isinstance(said, DiskFull) == (told is not None)
+    assert (told or f"a database that answers; {reason}") in str(said)
