@@ -17,11 +17,14 @@ from typing import Any
 
 import pytest
 
+from catalog_tools.errors import shorten
 from pipeline.errors import BadInput, Damaged
 from tests.pins.told import ANEW, TOLD, alike
 
 ROOT = Path(__file__).resolve().parents[2]
-_VARIES = re.compile(r"…|://")  # what is cut off amid a path, and places with ports
+# What another library says of a path, cut off where that is long, and places with ports.
+_VARIES = re.compile(r"…|://|Could not open|No such file|Errno")
+LONGEST_PATH = 300
 _raises = pytest.raises
 _said: list[str] = []
 
@@ -43,8 +46,15 @@ class _Heard:
     ) -> Any:
         expected = self._context.__exit__(kind, error, trace)
         if isinstance(error, BadInput | Damaged):
-            _said.append(str(error))
+            _said.append(_whole(error))
         return expected
+
+
+def _whole(error: BadInput | Damaged) -> str:
+    """The message, a path in it whole where it is cut."""
+    value, text = getattr(error, "value", None), str(error)
+    is_path = isinstance(value, str | Path) and len(str(value)) < LONGEST_PATH
+    return text.replace(shorten(value), repr(value)) if is_path else text
 
 
 def listen() -> None:
