@@ -162,7 +162,7 @@ def _opened(options: Options, place: Place, share: Share | None, stack: ExitStac
     try:
         return stack.enter_context(open_scheduler(options.scheduler, options.workers))
     except NightglassError as error:
-        raise _how_to_go_on(error, place.tiles() > 0, share is None) from None
+        raise _how_to_go_on(error, _is_kept(place, share), share is None) from None
 
 
 def _heard(writing: Writing, listen: Listener | None, progress: Progress) -> None:
@@ -178,10 +178,15 @@ def _explained(place: Place, writing: Writing, share: Share | None) -> Iterator[
     try:
         yield
     except NightglassError as error:
-        kept = share is not None or place.tiles() > 0
+        kept = _is_kept(place, share)
         if not kept:
             writing.discard()  # nothing was finished, so nothing is left behind
         raise _how_to_go_on(error, kept, share is None) from None
+
+
+def _is_kept(place: Place, share: Share | None) -> bool:
+    """Whether what is at a place stays there after an error; a part's may be others'."""
+    return share is not None or place.tiles() > 0
 
 
 def _how_to_go_on(error: NightglassError, kept: bool, whole: bool) -> NightglassError:

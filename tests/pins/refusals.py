@@ -24,6 +24,7 @@ from tests.pins.told import ANEW, TOLD, alike
 ROOT = Path(__file__).resolve().parents[2]
 # What another library says of a path, cut off where that is long, and places with ports.
 _VARIES = re.compile(r"…|://|Could not open|No such file|Errno")
+_UNIQUE = re.compile(r"[0-9a-f]{32}")  # names that are given at random
 LONGEST_PATH = 300
 _raises = pytest.raises
 _said: list[str] = []
@@ -78,7 +79,7 @@ def hold(node: pytest.Item, base: Path) -> Iterator[None]:
         return  # it is refused as many things as it tries
     said = [re.sub(rf"{re.escape(str(base))}/[\w.-]*?\d+(?=/|\b)", "<folder>", s) for s in _said]
     said = [s.replace(str(ROOT), "<root>").replace(str(ROOT.parent), "<beside>") for s in said]
-    said = [s for s in said if not _VARIES.search(s)]
+    said = [_UNIQUE.sub("<unique>", s) for s in said if not _VARIES.search(s)]
     name, path = node.nodeid.partition("::")[2], _file_of(node)
     stored = json.loads(path.read_text()) if path.is_file() else {}
     if os.environ.get(ANEW) == "anew":
