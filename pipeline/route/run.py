@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -96,8 +96,9 @@ def render(
         if options.processes or options.most_memory_mb:
             check_room(prepared, options.most_memory_mb, options.processes)
         times: JsonObject = {"plan_s": time.perf_counter() - started}
-        with ExitStack() as drawing:  # open before an old product is removed
-            scheduler = _opened(options, place, share, drawing)
+        with ExitStack() as drawing:
+            # Before an old product is removed; else not before there is something to draw.
+            early = _opened(options, place, share, drawing) if options.replace else None
             with place.written(_claim(prepared, options, share)) as writing:
                 if writing.is_sealed((share or WHOLE).tiles(prepared.plan)):
                     return writing.report()
@@ -105,6 +106,7 @@ def render(
                 writing.put_plan(layout.to_json(summary))
                 heard = partial(_heard, writing, listen)
                 with _explained(place, writing, share), drawing:
+                    scheduler = early or drawing.enter_context(_scheduler(options))
                     draw(prepared, writing.begun, scheduler, heard, share or WHOLE)
                 times["draw_s"] = time.perf_counter() - started - times["plan_s"]
                 times |= {"workers": scheduler.workers, "scheduler": options.scheduler}
@@ -157,10 +159,14 @@ def _claim(prepared: Prepared, options: Options, share: Share | None) -> Claim:
     )
 
 
+def _scheduler(options: Options) -> AbstractContextManager[Scheduler]:
+    return open_scheduler(options.scheduler, options.workers)
+
+
 def _opened(options: Options, place: Place, share: Share | None, stack: ExitStack) -> Scheduler:
-    """The scheduler that is asked for, as long as the stack is open."""
+    """The scheduler, open as long as the stack; where none answers, how to go on."""
     try:
-        return stack.enter_context(open_scheduler(options.scheduler, options.workers))
+        return stack.enter_context(_scheduler(options))
     except NightglassError as error:
         raise _how_to_go_on(error, _is_kept(place, share), share is None) from None
 

@@ -147,13 +147,22 @@ def test_a_product_is_not_replaced_where_nothing_could_be_drawn(product, starry,
     assert check(product).whole
 
 
-def test_a_product_is_not_replaced_where_no_scheduler_answers(product, starry):
-    with socket.socket() as nobody:  # bound, but not listening
-        nobody.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{nobody.getsockname()[1]}"
-        with pytest.raises(TryLater, match="what is finished is kept"):
-            render(starry[0], product, Options(address, replace=True))
+@pytest.fixture
+def nobody():
+    """The address of a scheduler that does not answer: bound, but not listening."""
+    with socket.socket() as held:
+        held.bind(("127.0.0.1", 0))
+        yield f"tcp://127.0.0.1:{held.getsockname()[1]}"
+
+
+def test_a_product_is_not_replaced_where_no_scheduler_answers(product, starry, nobody):
+    with pytest.raises(TryLater, match="what is finished is kept"):
+        render(starry[0], product, Options(nobody, replace=True))
     assert check(product).whole
+
+
+def test_no_scheduler_is_asked_where_nothing_is_left_to_draw(product, starry, nobody):
+    assert render(starry[0], product, Options(nobody, resume=True))["drawn_before"]
 
 
 @pytest.mark.parametrize("content", ["5", "[]", "{}", "{"])
