@@ -11,8 +11,9 @@ import json
 import os
 import re
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from functools import cache
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import pytest
@@ -30,25 +31,15 @@ _raises = pytest.raises
 _said: list[str] = []
 
 
-class _Heard:
+@contextmanager
+def _heard(expected: AbstractContextManager[Any]) -> Iterator[Any]:
     """A `pytest.raises` that notes what the error says."""
-
-    def __init__(self, context: Any) -> None:
-        self._context = context
-
-    def __enter__(self) -> Any:
-        return self._context.__enter__()
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> Any:
-        expected = self._context.__exit__(kind, error, trace)
-        if isinstance(error, BadInput | Damaged):
+    with expected as info:
+        try:
+            yield info
+        except (BadInput, Damaged) as error:
             _said.append(_whole(error))
-        return expected
+            raise
 
 
 def _whole(error: BadInput | Damaged) -> str:
@@ -63,7 +54,7 @@ def listen() -> None:
 
     def raises(expected: Any, *args: Any, **options: Any) -> Any:
         context = _raises(expected, *args, **options)
-        return context if args else _Heard(context)
+        return context if args else _heard(context)
 
     pytest.raises = raises  # type: ignore[assignment]
 
@@ -81,7 +72,7 @@ def hold(node: pytest.Item, base: Path) -> Iterator[None]:
     said = [s.replace(str(ROOT), "<root>").replace(str(ROOT.parent), "<beside>") for s in said]
     said = [_UNIQUE.sub("<unique>", s) for s in said if not _VARIES.search(s)]
     name, path = node.nodeid.partition("::")[2], _file_of(node)
-    stored = json.loads(path.read_text()) if path.is_file() else {}
+    stored = _stored(path)
     if os.environ.get(ANEW) == "anew":
         if said and not _same(stored.get(name), said):
             stored[name] = said
@@ -94,6 +85,11 @@ def hold(node: pytest.Item, base: Path) -> Iterator[None]:
 def _file_of(node: pytest.Item) -> Path:
     parts = node.path.relative_to(ROOT / "tests").with_suffix("").parts
     return TOLD / "refusals" / f"{'.'.join(parts)}.json"
+
+
+@cache
+def _stored(path: Path) -> dict[str, list[str]]:
+    return json.loads(path.read_text()) if path.is_file() else {}
 
 
 def _same(stored: list[str] | None, said: list[str]) -> bool:
