@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject
+from pipeline.arrays import Geometry
 from pipeline.errors import BadInput
 from pipeline.inputs.band.curves import resolve_response, solar_spectrum
 from pipeline.physics.positions.focal_plane import Camera, deproject
@@ -67,8 +68,7 @@ def place(data: JsonObject, wanted: list[Wanted]) -> JsonObject:
         return data
     camera = camera_of(parse_scene(data))
     views = _views(data)
-    spent = np.array([[0.0], [views.seconds]])
-    at = np.array([spent * (w.x_px_s, w.y_px_s) + (w.x_px, w.y_px) for w in wanted])
+    at = _straight_px(wanted, np.array([0.0, views.seconds]))
     wanted_e_s = np.array([[w.rate_e_s] for w in wanted])
     intensities = np.ones((len(wanted), _frames(data).size))
     aimed = at.copy()
@@ -77,7 +77,7 @@ def place(data: JsonObject, wanted: list[Wanted]) -> JsonObject:
             _target(data, w, camera, views, aim, light)
             for w, aim, light in zip(wanted, aimed, intensities, strict=True)
         ]
-        seen, rates = _seen(data)
+        seen, rates = _seen(_geometry(data), data["sensor"])
         if not np.isfinite(seen).all():
             raise BadInput("geometry.obs", "a target", "targets in front of the camera")
         aimed += at - seen[:, [0, -1]]
@@ -91,12 +91,21 @@ def astray(data: JsonObject, wanted: list[Wanted]) -> float:
     [px]."""
     if not wanted:
         return 0.0
-    g = plan_geometry(parse_scene(data), _frames(data), 0.0)
-    after_s = (g.offset_s[:, [0, -1]] - g.offset_s[0, 0]).reshape(-1, 1)
-    paths = np.array([after_s * (w.x_px_s, w.y_px_s) + (w.x_px, w.y_px) for w in wanted])
+    g = _geometry(data)
+    paths = _straight_px(wanted, (g.offset_s[:, [0, -1]] - g.offset_s[0, 0]).ravel())
     inside = (paths > -0.5) & (paths < np.array(data["sensor"]["shape"])[::-1] - 0.5)
-    off_px = np.abs(_seen(data)[0] - paths).max(axis=-1)
+    off_px = np.abs(_seen(g, data["sensor"])[0] - paths).max(axis=-1)
     return float(off_px.max(initial=0.0, where=inside.all(axis=-1)))
+
+
+def _straight_px(wanted: list[Wanted], after_s: Array) -> Array:
+    """Where targets are to be at times (k,) after the first exposure begins: (n, k, 2)."""
+    return np.array([after_s[:, None] * (w.x_px_s, w.y_px_s) + (w.x_px, w.y_px) for w in wanted])
+
+
+def _geometry(data: JsonObject) -> Geometry:
+    """Of a scene's `_frames`."""
+    return plan_geometry(parse_scene(data), _frames(data), 0.0)
 
 
 def _frames(data: JsonObject) -> NDArray[np.int64]:
@@ -115,7 +124,7 @@ class _Views:
 
 
 def _views(data: JsonObject) -> _Views:
-    g = plan_geometry(parse_scene(data), _frames(data), 0.0)
+    g = _geometry(data)
     seconds = float(g.offset_s[-1, -1] - g.offset_s[0, 0])
     return _Views((g.attitude[0, 0], g.attitude[-1, -1]), seconds, g.offset_s[:, g.middle])
 
@@ -163,12 +172,11 @@ def _on_plane_m(camera: Camera, attitude: Array, x_px: float, y_px: float) -> Ar
     return np.asarray(sight / (sight @ axis) * APART_M)
 
 
-def _seen(data: JsonObject) -> tuple[Array, Array]:
+def _seen(g: Geometry, sensor: JsonObject) -> tuple[Array, Array]:
     """Of `_frames`: where the targets are at their ends [px] (n, 2 frames, 2), and their electrons
     a second amid each (n, frames)."""
-    g = plan_geometry(parse_scene(data), _frames(data), 0.0)
     ends = np.stack([g.target_x_px[..., [0, -1]], g.target_y_px[..., [0, -1]]], -1)
-    rate = electrons_of_sunlight(data["sensor"]) * g.target_light[..., g.middle]
+    rate = electrons_of_sunlight(sensor) * g.target_light[..., g.middle]
     return ends.reshape(ends.shape[0], -1, 2), rate
 
 
