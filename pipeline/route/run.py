@@ -84,7 +84,7 @@ def render(
     not reached any more, DiskFull where there was no room, TryLater where another render
     is writing the product.
     """
-    options, started = options or Options(), time.perf_counter()
+    options, mine, started = options or Options(), share or WHOLE, time.perf_counter()
     _check_options(options)
     place = place_for(product, "-o")
     with place.explained():
@@ -100,14 +100,14 @@ def render(
             # Before an old product is removed; else not before there is something to draw.
             early = _opened(options, place, share, drawing) if options.replace else None
             with place.written(_claim(prepared, options, share)) as writing:
-                if writing.is_sealed((share or WHOLE).tiles(prepared.plan)):
+                if writing.is_sealed(mine.tiles(prepared.plan)):
                     return writing.report()
                 writing.unseal()
                 writing.put_plan(layout.to_json(summary))
                 heard = partial(_heard, writing, listen)
                 with _explained(place, writing, share), drawing:
                     scheduler = early or drawing.enter_context(_scheduler(options))
-                    draw(prepared, writing.begun, scheduler, heard, share or WHOLE)
+                    draw(prepared, writing.begun, scheduler, heard, mine)
                 times["draw_s"] = time.perf_counter() - started - times["plan_s"]
                 times |= {"workers": scheduler.workers, "scheduler": options.scheduler}
                 if share is None:
