@@ -1,4 +1,5 @@
-"""A Slurm of one node, in a folder and with a key of its own; what it needs comes with Debian."""
+"""A Slurm of one node, in a folder and with a key of its own (what it needs comes with Debian), and
+a stand-in for its commands."""
 
 from __future__ import annotations
 
@@ -38,6 +39,39 @@ KillWait=2
 NodeName={host} NodeAddr=127.0.0.1 CPUs={cpus} RealMemory=8000
 PartitionName=all Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 """
+
+# A job is its script in a session of its own, known by its process.
+SBATCH = """#!/bin/sh
+cp "$1" {folder}/script   # the caller removes its own at once
+setsid sh {folder}/script >{folder}/log 2>&1 &
+echo $! >>{folder}/jobs
+echo "Submitted batch job $!"
+"""
+SCANCEL = """#!/bin/sh
+echo "$1" >>{folder}/cancelled
+kill -- "-$1" 2>/dev/null
+exit 0
+"""
+SQUEUE = """#!/bin/sh
+for job in $(cat {folder}/jobs); do
+    case $(cut -d ' ' -f 3 /proc/$job/stat 2>/dev/null) in
+        ''|Z) ;;
+        *) echo "$job RUNNING (None)" ;;
+    esac
+done
+"""
+
+
+def stand_in_for_slurm(folder: Path, **scripts: str) -> Path:
+    """A folder with sbatch, scancel and squeue, other scripts where given, for a PATH."""
+    bin_ = folder / "bin"
+    bin_.mkdir(parents=True)
+    (folder / "jobs").touch()
+    scripts = {"sbatch": SBATCH, "scancel": SCANCEL, "squeue": SQUEUE} | scripts
+    for name, script in scripts.items():
+        (bin_ / name).write_text(script.format(folder=folder))
+        (bin_ / name).chmod(0o755)
+    return bin_
 
 
 @contextmanager

@@ -8,9 +8,11 @@ import os
 import signal
 import socket
 import ssl
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from types import FrameType
 from urllib.parse import SplitResult, urlsplit
 
 import dask
@@ -194,25 +196,37 @@ def slurm(jobs: int | None) -> Iterator[Client]:
     Queue, cores, memory and the like come from Dask's own settings (jobqueue.slurm). Scheduler and
     workers speak TLS with certificates made for this run, in a folder that only the user can read.
     """
+    before = signal.getsignal(signal.SIGINT)
     try:
-        from dask_jobqueue import SLURMCluster
+        from .slurm_jobs import cluster_of_jobs, wait_for_a_job
     except ImportError as error:
         field, broken = "--scheduler slurm", why_broken(error, "dask_jobqueue")
         raise Missing("workers of Slurm", "dask-jobqueue", "slurm", "", field, broken) from None
+    finally:  # dask_jobqueue lets Ctrl-C end the process at once, with exit code 0
+        signal.signal(signal.SIGINT, before)
     folder = Path(os.environ.get("NIGHTGLASS_SLURM_FOLDER") or Path.home() / ".nightglass-slurm")
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    try:
-        cluster = SLURMCluster(
-            security=Security.temporary(), protocol="tls://", shared_temp_directory=str(folder)
-        )
-    except (ValueError, RuntimeError, OSError) as error:
-        raise BadInput(
-            "--scheduler", "slurm", f"settings in jobqueue.slurm of Dask's configuration; {error}"
-        ) from None
-    with cluster, Client(cluster, timeout=30) as client:
-        cluster.adapt(minimum_jobs=1, maximum_jobs=jobs or MOST_JOBS)
-        try:
-            client.wait_for_workers(1, timeout=float(os.environ.get(WAIT_S, "86400")))
-        except TimeoutError:
-            raise TryLater("Slurm started no job in time") from None
+    with (
+        _signals_unwind(),
+        cluster_of_jobs(folder, jobs or MOST_JOBS) as made,
+        Client(made, timeout=30) as client,
+    ):
+        wait_for_a_job(client, made, float(os.environ.get(WAIT_S, "86400")))
         yield client
+
+
+@contextmanager
+def _signals_unwind() -> Iterator[None]:
+    """What would end the process at once unwinds it, so that no job stays in the queue."""
+    taken = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) == signal.SIG_DFL]
+
+    def end(number: int, _: FrameType | None) -> None:
+        sys.exit(128 + number)
+
+    for number in taken:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)

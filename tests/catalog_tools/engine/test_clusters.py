@@ -28,7 +28,7 @@ from pipeline.route.run import render
 from pipeline.spec.load import parse_scene
 from pipeline.store.product import content_digest
 from tests.service.conftest import SCENE
-from tests.slurm import slurm_of_one_node
+from tests.slurm import slurm_of_one_node, stand_in_for_slurm
 from tests.tls_cluster import ROOT, make_certificates, tls_cluster_in
 
 LONGER_THAN_A_JOB_S = 120.0  # CPU seconds; Slurm looks at limits every half minute
@@ -286,38 +286,148 @@ def test_half_a_certificate_is_named(certificates, monkeypatch):
         security_of("tls://somewhere:8786")
 
 
-@pytest.mark.slow
-def test_slurm_starts_workers(tmp_path, monkeypatch):
-    """Our settings file through dask-jobqueue, with a stand-in for sbatch that runs the script."""
-    pytest.importorskip("dask_jobqueue")
-    import dask
+def slurm_settings(**changed) -> dict:
+    """The settings of our file, as Dask has them with one process a job."""
     from ruamel.yaml import YAML
 
-    bin_ = tmp_path / "bin"
-    bin_.mkdir()
-    (bin_ / "sbatch").write_text(
-        f"#!/bin/sh\ncp \"$1\" {tmp_path}/script\n"  # the caller removes its own at once
-        f"setsid sh {tmp_path}/script >{tmp_path}/log 2>&1 &\n"
-        "echo \"Submitted batch job $!\"\n"
-    )  # fmt: skip
-    (bin_ / "scancel").write_text('#!/bin/sh\nkill -- "-$1" 2>/dev/null\nexit 0\n')
-    for name in ("sbatch", "scancel"):
-        (bin_ / name).chmod(0o755)
-    monkeypatch.setenv("PATH", f"{bin_}:{os.environ['PATH']}")
+    settings = YAML(typ="safe").load((ROOT / "deploy" / "slurm" / "jobqueue.yaml").read_text())
+    return dask.config.get("jobqueue.slurm") | settings["jobqueue"]["slurm"] | {
+        "cores": 1, "processes": 1, "memory": "1GiB", "interface": "lo", "python": sys.executable,
+    } | changed  # fmt: skip
+
+
+@pytest.fixture
+def with_slurm(tmp_path, monkeypatch):
+    """A function that puts a stand-in for Slurm, with other scripts, on the PATH."""
+    pytest.importorskip("dask_jobqueue")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("NIGHTGLASS_SLURM_FOLDER", str(tmp_path / "certificates"))
     monkeypatch.setenv("NIGHTGLASS_WORKERS_WAIT_S", "120")
-    settings = YAML(typ="safe").load((ROOT / "deploy" / "slurm" / "jobqueue.yaml").read_text())
-    mine = dask.config.get("jobqueue.slurm") | settings["jobqueue"]["slurm"] | {
-        "cores": 1, "processes": 1, "memory": "1GiB", "interface": "lo", "python": sys.executable,
-    }  # fmt: skip
-    with dask.config.set({"jobqueue.slurm": mine}), open_scheduler("slurm", 1) as scheduler:
+    monkeypatch.setattr("catalog_tools.engine.slurm_jobs.LOOK_S", 1.0)
+
+    def made(**scripts: str) -> Path:
+        bin_ = stand_in_for_slurm(tmp_path, **scripts)
+        monkeypatch.setenv("PATH", f"{bin_}:{os.environ['PATH']}")
+        return tmp_path
+
+    return made
+
+
+@pytest.mark.slow
+def test_slurm_starts_workers(with_slurm):
+    """Our settings file through dask-jobqueue, with a stand-in for sbatch that runs the script."""
+    folder = with_slurm()
+    with (
+        dask.config.set({"jobqueue.slurm": slurm_settings()}),
+        open_scheduler("slurm", 1) as scheduler,
+    ):
         found = dict(scheduler.each(double, 2, range(6)))
     assert found == {i: 2 * i for i in range(6)}
-    script = (tmp_path / "script").read_text()
+    script = (folder / "script").read_text()
     assert "--requeue" in script
     assert "tls://" in script
-    assert (tmp_path / "certificates").stat().st_mode & 0o077 == 0
+    assert "--no-dashboard" in script
+    assert (folder / "certificates").stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.slow
+def test_jobs_of_several_processes_that_end_are_followed_by_others(with_slurm):
+    """As at the walltime, or when all are cancelled."""
+    folder = with_slurm()
+    settings = slurm_settings(cores=2, processes=2)
+    with dask.config.set({"jobqueue.slurm": settings}), open_scheduler("slurm", 1) as scheduler:
+        found = {}
+        for item, value in scheduler.each(slowly, b"12345", range(40)):
+            found[item] = value
+            if len(found) == 5:
+                os.killpg(int((folder / "jobs").read_text().split()[-1]), signal.SIGKILL)
+    assert found == {i: i + 5 for i in range(40)}
+    assert len((folder / "jobs").read_text().split()) >= 2
+
+
+REFUSALS = {
+    "Invalid partition name specified": (BadInput, "Invalid partition name specified"),
+    "Unable to contact slurm controller (connect failure)": (TryLater, "Unable to contact"),
+}
+
+
+@pytest.mark.parametrize("told", REFUSALS)
+def test_what_sbatch_refuses_is_told_at_once(with_slurm, told):
+    said = f"sbatch: error: a thing\nsbatch: error: Batch job submission failed: {told}"
+    with_slurm(sbatch=f"#!/bin/sh\necho '{said}' >&2\nexit 1\n")
+    kind, words = REFUSALS[told]
+    with (
+        dask.config.set({"jobqueue.slurm": slurm_settings()}),
+        pytest.raises(kind, match=words) as error,
+        open_scheduler("slurm", 1),
+    ):
+        pass
+    assert "\n" not in str(error.value)
+
+
+def test_a_machine_without_slurm_is_told(with_slurm, tmp_path, monkeypatch):
+    with_slurm()
+    monkeypatch.setenv("PATH", str(tmp_path / "nothing"))
+    with (
+        dask.config.set({"jobqueue.slurm": slurm_settings()}),
+        pytest.raises(BadInput, match="command sbatch"),
+        open_scheduler("slurm", 1),
+    ):
+        pass
+
+
+def test_slurm_without_settings_names_the_file_that_has_them(with_slurm):
+    with_slurm()
+    with (
+        dask.config.set({"jobqueue.slurm": slurm_settings(cores=None, memory=None)}),
+        pytest.raises(BadInput, match=r"deploy/slurm/jobqueue.yaml") as error,
+        open_scheduler("slurm", 1),
+    ):
+        pass
+    assert "\n" not in str(error.value)
+
+
+PENDING = "#!/bin/sh\necho 7 'PENDING (PartitionDown)'\n"
+SUBMITS = "#!/bin/sh\ntouch {folder}/submitted\necho Submitted batch job 7\n"
+
+
+@pytest.mark.parametrize(
+    ("squeue", "told"),
+    [(PENDING, r"job 7: PENDING \(PartitionDown\)"), ("#!/bin/sh\n", "job 7 ended")],
+)
+def test_a_job_without_a_worker_is_told(with_slurm, monkeypatch, squeue, told):
+    """One that waits in the queue for too long, and one that ended before its worker came."""
+    with_slurm(sbatch=SUBMITS, squeue=squeue)
+    monkeypatch.setenv("NIGHTGLASS_WORKERS_WAIT_S", "5")
+    with (
+        dask.config.set({"jobqueue.slurm": slurm_settings()}),
+        pytest.raises(TryLater, match=told),
+        open_scheduler("slurm", 1),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+)
+def test_a_render_that_is_stopped_cancels_its_jobs(with_slurm, number, code):
+    folder = with_slurm(sbatch=SUBMITS, squeue=PENDING)
+    (folder / "scene.json").write_text(json.dumps(SCENE))
+    (folder / "jobqueue.json").write_text(json.dumps({"jobqueue": {"slurm": slurm_settings()}}))
+    with subprocess.Popen(
+        [sys.executable, "-m", "pipeline", "render", "scene.json", "-o", "product", "--slurm"],
+        cwd=folder, env=os.environ | {"DASK_CONFIG": str(folder / "jobqueue.json")},
+        stderr=subprocess.PIPE, text=True,
+    ) as render:  # fmt: skip
+        until = time.monotonic() + 60
+        while not (folder / "submitted").exists() and time.monotonic() < until:
+            time.sleep(0.2)
+        time.sleep(1)
+        render.send_signal(number)
+        _, told = render.communicate(timeout=60)
+    assert render.returncode == code, told
+    assert (folder / "cancelled").read_text().split() == ["7"]
+    assert ("go on with:" in told) == (number == signal.SIGINT)
 
 
 @pytest.mark.slow
@@ -341,7 +451,7 @@ def test_a_slurm_worker_that_reaches_its_walltime_is_followed_by_the_next(tmp_pa
     yaml = YAML(typ="safe")
     settings = yaml.load((ROOT / "deploy" / "slurm" / "jobqueue.yaml").read_text())
     settings["jobqueue"]["slurm"] |= {
-        "cores": 1, "processes": 1, "memory": "2GiB", "walltime": "00:01:00", "interface": "lo",
+        "cores": 2, "processes": 2, "memory": "2GiB", "walltime": "00:01:00", "interface": "lo",
         "log-directory": str(tmp_path / "jobs"),
     }  # fmt: skip
     (tmp_path / "dask").mkdir()

@@ -1,0 +1,154 @@
+"""Slurm's jobs as workers: what sbatch refuses is told, and a job that has ended is followed."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import dask
+from dask_jobqueue.slurm import SLURMCluster, SLURMJob
+from distributed import Adaptive, Client, Security
+from distributed.core import Status
+
+from ..errors import BadInput, TryLater
+
+LOOK_S = 20.0  # Slurm is asked so often which jobs there are
+SETTINGS = "settings in jobqueue.slurm of Dask's configuration"
+OF_THE_MOMENT = ("contact", "timed out", "temporarily")  # sbatch's words for what may pass
+
+
+class Job(SLURMJob):
+    """A job of Slurm; one that sbatch refuses counts as one that has ended."""
+
+    refusal: Exception | None = None
+
+    async def start(self) -> None:
+        try:
+            await super().start()
+        except (OSError, RuntimeError, ValueError) as error:
+            self.refusal, self.status = error, Status.running
+
+    async def close(self) -> None:
+        await super().close()
+        self.status = Status.closed
+
+
+class Jobs(SLURMCluster):
+    """A cluster that knows which of its jobs Slurm still has."""
+
+    job_cls = Job
+    looked_s = -LOOK_S
+    lost = ""  # why the last job that is gone has ended
+    in_queue = ""  # state and reason of the jobs that are there
+    refusal: Exception | None = None
+
+    def _new_worker_name(self, _: int) -> str:
+        """A name that none had before: the scheduler may still know the worker of an ended job."""
+        if not hasattr(self, "_numbers"):
+            self._numbers = itertools.count()
+        return f"{self._name}-{next(self._numbers)}"
+
+    async def forget_ended(self) -> None:
+        """Forget the jobs that Slurm does not have any more, so that others take their place."""
+        known = dict(self.workers)
+        if not known or time.monotonic() - self.looked_s < LOOK_S:
+            return
+        self.looked_s = time.monotonic()
+        queue: dict[str, str] = {}
+        if any(job.job_id for job in known.values()):
+            try:
+                told = await Job._call(["squeue", "--me", "--noheader", "--format=%i %T (%r)"])
+            except (OSError, RuntimeError):
+                return  # Slurm does not answer now
+            queue = dict(line.strip().split(" ", 1) for line in told.splitlines())
+        self.in_queue = "; ".join(
+            f"job {job.job_id}: {queue[job.job_id]}"
+            for job in known.values()
+            if job.job_id in queue
+        )
+        for name, job in known.items():
+            if job.job_id not in queue:
+                self.lost, self.refusal = f"Slurm's job {job.job_id}", job.refusal
+                job.status = Status.closed
+                self.workers.pop(name, None)
+                self.worker_spec.pop(name, None)
+
+
+class FollowsJobs(Adaptive):
+    """Asks for as many jobs as there is work for, and for others where some have ended."""
+
+    cluster: Jobs
+
+    async def adapt(self) -> None:
+        await self.cluster.forget_ended()
+        await super().adapt()
+
+
+def _job_of(worker: object) -> str:
+    """The job of a worker that is one of several processes of a job."""
+    return str(getattr(worker, "name", "")).rpartition("-")[0]
+
+
+@contextmanager
+def cluster_of_jobs(folder: Path, most: int) -> Iterator[Jobs]:
+    """A scheduler here and from one to `most` jobs of Slurm; certificates in a folder.
+
+    Raises BadInput for settings that cannot be used.
+    """
+    settings = dask.config.get("jobqueue.slurm")
+    if settings["cores"] is None or settings["memory"] is None:
+        where = "copy deploy/slurm/jobqueue.yaml to ~/.config/dask"
+        raise BadInput("--scheduler", "slurm", f"{SETTINGS}: cores and memory ({where})")
+    processes = settings["processes"]
+    grouped = bool(processes) and processes > 1
+    try:
+        cluster = Jobs(
+            security=Security.temporary(),
+            protocol="tls://",
+            shared_temp_directory=str(folder),
+            # not 8787 of all networks
+            scheduler_options={"dashboard_address": "127.0.0.1:0"}
+            | (settings["scheduler-options"] or {}),
+            worker_extra_args=["--no-dashboard", *(settings["worker-extra-args"] or ())],
+            **({"processes": processes} if grouped else {}),
+        )
+    except (ValueError, RuntimeError, OSError) as error:
+        told = " ".join(str(error).split())
+        raise BadInput("--scheduler", "slurm", f"{SETTINGS}; {told}") from None
+    # Jobs are forgotten when Slurm has them no more, not when their workers are silent.
+    with cluster, dask.config.set({"distributed.deploy.lost-worker-timeout": "3650 days"}):
+        key = {"worker_key": _job_of} if grouped else {}
+        cluster.adapt(Adaptive=FollowsJobs, minimum_jobs=1, maximum_jobs=most, **key)
+        yield cluster
+
+
+def wait_for_a_job(client: Client, cluster: Jobs, patience_s: float) -> None:
+    """Wait until a first worker is there.
+
+    Raises BadInput where sbatch refuses the job, TryLater where none starts in time, or one ends
+    before its worker came.
+    """
+    deadline = time.monotonic() + patience_s
+    while not client.nthreads():
+        if cluster.refusal is not None:
+            raise _refused(cluster.refusal)
+        if cluster.lost:
+            raise TryLater(f"{cluster.lost} ended before its worker came; its log says why")
+        if time.monotonic() > deadline:
+            queue = f" ({cluster.in_queue})" if cluster.in_queue else ""
+            raise TryLater(f"Slurm started no job in time{queue}")
+        time.sleep(0.1)
+
+
+def _refused(error: Exception) -> BadInput | TryLater:
+    """What to say where sbatch takes no job."""
+    if isinstance(error, FileNotFoundError):
+        return BadInput("--scheduler", "slurm", "a machine that has Slurm's command sbatch")
+    lines = str(error).strip().splitlines() or [type(error).__name__]
+    told = lines[-1].removeprefix("sbatch: error: ")
+    if any(words in told for words in OF_THE_MOMENT):
+        return TryLater(f"sbatch takes no job now ({told})")
+    return BadInput("--scheduler", "slurm", f"{SETTINGS} that sbatch takes ({told})")
