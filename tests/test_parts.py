@@ -116,6 +116,24 @@ def test_parts_side_by_side_and_one_killed(tmp_path, whole):
     assert not [p for p in tmp_path.iterdir() if p.name.endswith(".tmp")]
 
 
+def test_a_part_killed_at_the_very_end_needs_no_other_part_again(tmp_path, whole, monkeypatch):
+    """As at its walltime: while the parts of truth, in the tables by then, are removed."""
+    scene, product = parse_scene(SCENE), tmp_path / "run"
+    render(scene, product, share=Share(1, 2))
+
+    def cut_off(path):
+        next((path / layout.TRUTH / layout.PARTS).iterdir()).unlink()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("pipeline.route.finish.drop_parts", cut_off)
+        with pytest.raises(KeyboardInterrupt):
+            render(scene, product, share=Share(2, 2))
+    render(scene, product, share=Share(2, 2))
+    assert check(product).complete
+    assert content_digest(product) == whole
+
+
 def test_join_names_what_is_damaged(tmp_path, whole):
     """A chunk that was cut short is not taken; its part draws it again."""
     product, scene = tmp_path / "run", parse_scene(SCENE)

@@ -84,8 +84,8 @@ def finish(plan: Plan, catalogues: list[JsonObject], begun: Begun, times: JsonOb
     report["errors"]["as_stated"] = not doubts
     report["seconds"] = times | {"finish_s": time.perf_counter() - started}
     layout.write_atomically(product / layout.REPORT, layout.to_json(report))
-    drop_parts(product)
     seal(product, gathered.digest)
+    drop_parts(product)  # after the seal: one that is killed here needs no part again
     return report
 
 

@@ -431,12 +431,13 @@ def seal(path: Path, content: str) -> None:
     They, and all folders, are brought to the disk first; chunks were, before their markers.
     """
     names, synced = [], []
+    unsealed = f"{layout.TRUTH}/{layout.PARTS}/"  # removed when the seal stands
     for folder, _, inside in os.walk(path):
         for own in inside:
             name = f"{folder}/{own}"[len(str(path)) + 1 :]
             if own.startswith(".") and own.endswith(".tmp"):
                 (path / name).unlink()  # of a writer that was killed
-            elif not _is_vouched_for(name, own):
+            elif not (_is_vouched_for(name, own) or name.startswith(unsealed)):
                 names.append(name)
         synced.append(folder)
     names.sort(key=lambda name: name.split("/"))
