@@ -74,6 +74,7 @@ HTTP_STATUS: tuple[tuple[type[Exception], int], ...] = (
     (problems.QueueFull, 429),
     (problems.TooMany, 429),
     (problems.EngineFault, 500),
+    (problems.NoProvider, 503),
     (problems.PlanTooSlow, 503),
     (problems.Overloaded, 503),
     (problems.TableFault, 503),

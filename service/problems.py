@@ -36,6 +36,10 @@ class Unauthenticated(Refusal):
     """No key or token came with the request, or none that is valid."""
 
 
+class NoProvider(Refusal):
+    """The identity provider's keys cannot be read: whether a token is valid is not known."""
+
+
 class Forbidden(Refusal):
     """Who asks is known, but may not do this."""
 

@@ -56,6 +56,8 @@ class Authenticator:
         self._known: OrderedDict[bytes, tuple[Caller | None, float, str]] = OrderedDict()
         self._guarded, self._looked_s = self._verifier is not None, float("-inf")
         self._hashing = asyncio.Semaphore(AT_ONCE)
+        # a provider that does not answer holds these threads, and leaves the others to all else
+        self._verifying = asyncio.Semaphore(AT_ONCE)
         self._in_line = 0
 
     async def guarded(self) -> bool:
@@ -66,7 +68,9 @@ class Authenticator:
         return self._guarded
 
     async def caller(self, authorization: str | None) -> Caller:
-        """The caller, from the Authorization header. Unauthenticated, Forbidden, TooMany."""
+        """The caller, from the Authorization header.
+
+        Unauthenticated, Forbidden, TooMany, NoProvider."""
         if not await self.guarded():
             return OPEN
         kind, _, token = (authorization or "").partition(" ")
@@ -79,7 +83,8 @@ class Authenticator:
             return await self._of_key(hashlib.sha256(token.encode()).digest(), match[1], match[2])
         if self._verifier is None:
             raise Unauthenticated(REFUSED)
-        team, subject = await run_in_threadpool(self._verifier.verify, token)
+        async with self._verifying:
+            team, subject = await run_in_threadpool(self._verifier.verify, token)
         return Caller(team, subject)
 
     async def behind(self, ticket: Caller) -> Caller:

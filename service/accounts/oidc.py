@@ -7,23 +7,30 @@ import json
 import logging
 import threading
 import time
+from http.client import HTTPException
 from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import HTTPRedirectHandler, build_opener
 
 import jwt
 
-from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from service.accounts.keys import TEAM
-from service.problems import Forbidden, Unauthenticated
+from service.problems import Forbidden, NoProvider, Unauthenticated
 
 log = logging.getLogger("nightglass.service")
 ALGORITHMS = ["RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "EdDSA"]
 LEEWAY_S = 30
 READ_AGAIN_S, RENEW_S = 30.0, 3600.0  # an unknown key is looked for at most every half minute
 MOST_BYTES = 1 << 20
+Keys = dict[str | None, jwt.PyJWK]
 INVALID = "the bearer token is not valid"
+REASONS: tuple[tuple[type[Exception], str], ...] = (  # all found after the signature
+    (jwt.ExpiredSignatureError, "the bearer token has expired"),
+    (jwt.ImmatureSignatureError, "the bearer token is not valid yet"),
+    (jwt.InvalidIssuerError, "the bearer token is of another issuer"),
+    (jwt.InvalidAudienceError, "the bearer token is for another audience"),
+)
 
 
 class Verifier:
@@ -32,14 +39,15 @@ class Verifier:
     def __init__(self, issuer: str, audience: str, jwks: str, team_claim: str) -> None:
         self._issuer, self._audience, self._claim = issuer, audience, team_claim
         self._jwks = jwks
-        self._keys: JsonObject = {}
-        self._read_s = float("-inf")
+        self._keys: Keys = {}
+        self._read_s, self._reached = float("-inf"), True
         self._lock = threading.Lock()
         _check_place(jwks)
 
     def verify(self, token: str) -> tuple[str, str]:
         """(team, subject) of a token. Unauthenticated where it is not valid, Forbidden where it
-        names no team. Nothing of the token is in the message."""
+        names no team, NoProvider where the keys cannot be read. Nothing of the token is in the
+        message."""
         try:
             kid = jwt.get_unverified_header(token).get("kid")
             key = self._key(kid)
@@ -52,10 +60,11 @@ class Verifier:
                 leeway=LEEWAY_S,
                 options={"require": ["exp", "iss", "aud", "sub"]},
             )
-        except jwt.ExpiredSignatureError:
-            raise Unauthenticated("the bearer token has expired") from None
-        except (jwt.PyJWTError, ValueError, TypeError):
-            raise Unauthenticated(INVALID) from None
+        except (jwt.PyJWTError, ValueError, TypeError) as error:
+            told = next((text for kind, text in REASONS if isinstance(error, kind)), INVALID)
+            raise Unauthenticated(told) from None
+        if not claims["sub"] or not claims["sub"].isprintable():  # it goes into the job table
+            raise Unauthenticated("the token's claim 'sub' must be printable text")
         team = claims.get(self._claim)
         if isinstance(team, list) and len(team) == 1:
             team = team[0]
@@ -63,13 +72,18 @@ class Verifier:
             raise Forbidden(f"the token's claim {self._claim!r} must name one team")
         return team, f"oidc:{claims['sub']}"[:128]
 
-    def _key(self, kid: object) -> jwt.PyJWK:
+    def _key(self, kid: str | None) -> jwt.PyJWK:
         with self._lock:
             age = time.monotonic() - self._read_s
-            if age > (READ_AGAIN_S if kid not in self._keys else RENEW_S):
+            # without an id only the signature would tell that there is a new key
+            if age > (RENEW_S if kid is not None and kid in self._keys else READ_AGAIN_S):
                 self._read_s = time.monotonic()
-                self._keys = _read_keys(self._jwks) or self._keys
+                found = _read_keys(self._jwks)
+                self._reached = found is not None
+                self._keys = found or self._keys
             if kid not in self._keys:
+                if not self._reached:
+                    raise NoProvider("the identity provider's keys cannot be read now; try again")
                 raise jwt.InvalidKeyError("unknown key")
             return self._keys[kid]
 
@@ -97,20 +111,22 @@ class _NoRedirect(HTTPRedirectHandler):
         return None
 
 
-def _read_keys(place: str) -> JsonObject | None:
-    """Public signing keys by their ids; None where they cannot be read now."""
+def _read_keys(place: str) -> Keys | None:
+    """Public signing keys by their ids, the only one also by None: its tokens need name no key
+    (OpenID Connect Core, 10.1). None where they cannot be read now."""
     try:
         if urlsplit(place).scheme in ("http", "https"):
             with build_opener(_NoRedirect).open(place, timeout=5) as answer:
                 text = answer.read(MOST_BYTES)
         else:
             text = Path(place).read_bytes()
-        found = jwt.PyJWKSet.from_dict(json.loads(text)).keys
-    except (OSError, ValueError, TypeError, jwt.PyJWTError) as error:
+        found = [
+            key
+            for key in jwt.PyJWKSet.from_dict(dict(json.loads(text))).keys
+            if key.algorithm_name in ALGORITHMS and key.public_key_use in (None, "sig")
+        ]
+        keys: Keys = {key.key_id: key for key in found if key.key_id}
+    except (OSError, HTTPException, ValueError, TypeError, RecursionError, jwt.PyJWTError) as error:
         log.error("the identity provider's keys cannot be read: %s", type(error).__name__)
         return None
-    return {
-        key.key_id: key
-        for key in found
-        if key.algorithm_name in ALGORITHMS and key.key_id and key.public_key_use in (None, "sig")
-    }
+    return keys | {None: found[0]} if len(found) == 1 else keys

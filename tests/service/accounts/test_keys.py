@@ -8,6 +8,7 @@ import json
 import logging
 import re
 import secrets
+import socket
 import stat
 import subprocess
 import sys
@@ -35,7 +36,7 @@ from service.app import ROOMS
 from service.engine.processes import worker
 from service.logs import JsonLines, redact
 from service.main import bind
-from service.problems import Forbidden, Unauthenticated
+from service.problems import Forbidden, NoProvider, Unauthenticated
 from service.settings import Settings, read_settings
 from service.store.database import connect, sqlite_url
 from service.store.tables import audit
@@ -411,6 +412,45 @@ def test_good_tokens(provider: tuple[dict[str, Any], Path]) -> None:
     assert verifier.verify(signed(private, team=["blue"])) == ("blue", "oidc:ann")
 
 
+def test_a_token_need_not_name_the_only_key(
+    provider: tuple[dict[str, Any], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """OpenID Connect Core, 10.1; nor need the key have an id. A new one is found all the same."""
+    monkeypatch.setattr("service.accounts.oidc.READ_AGAIN_S", 0.0)
+    private, path = provider
+    key, other, octets = json.loads(path.read_text())["keys"]
+    nameless = {name: value for name, value in key.items() if name != "kid"}
+    path = tmp_path / "jwks.json"
+    token = jwt.encode(jwt.decode(signed(private), options={"verify_signature": False}),
+                       private["rsa"], "RS256")  # fmt: skip
+    path.write_text(json.dumps({"keys": [other, octets]}))
+    verifier = Verifier(ISSUER, AUDIENCE, str(path), "team")
+    for keys, good in (
+        ([other, octets], False), ([key, octets], True), ([nameless], True),
+        ([key, other], False), ([nameless, nameless], False),
+    ):  # fmt: skip
+        path.write_text(json.dumps({"keys": keys}))
+        if good:
+            assert verifier.verify(token) == ("red", "oidc:ann")
+        else:
+            with pytest.raises(Unauthenticated):
+                verifier.verify(token)
+
+
+def test_what_is_wrong_with_a_signed_token_is_told(
+    provider: tuple[dict[str, Any], Path],
+) -> None:
+    private, path = provider
+    verifier, now = Verifier(ISSUER, AUDIENCE, str(path), "team"), int(time.time())
+    for claims, told in (
+        ({"exp": now - 3600}, "has expired"), ({"nbf": now + 3600}, "not valid yet"),
+        ({"iss": f"{ISSUER}/"}, "another issuer"), ({"aud": "other"}, "another audience"),
+        ({"sub": ""}, "'sub'"), ({"sub": "a\0b"}, "'sub'"), ({"sub": "\ud800"}, "'sub'"),
+    ):  # fmt: skip
+        with pytest.raises(Unauthenticated, match=told):
+            verifier.verify(signed(private, **claims))
+
+
 def test_bad_tokens(provider: tuple[dict[str, Any], Path]) -> None:
     private, path = provider
     verifier = Verifier(ISSUER, AUDIENCE, str(path), "team")
@@ -457,10 +497,63 @@ def test_keys_of_a_provider_that_cannot_be_read_stay(
     path.write_text(json.dumps(told))
     verifier = Verifier(ISSUER, AUDIENCE, str(path), "team")
     assert verifier.verify(signed(private)) == ("red", "oidc:ann")
-    path.unlink()
     with pytest.raises(Unauthenticated):
         verifier.verify(signed(private, "ec", "ES256"))
+    path.unlink()
+    with pytest.raises(NoProvider):  # whether it has that key now is not known
+        verifier.verify(signed(private, "ec", "ES256"))
     assert verifier.verify(signed(private)) == ("red", "oidc:ann")
+
+
+@pytest.mark.parametrize(
+    "published", [b"", b"[]", b"null", b"[" * 100_000, b'{"keys": [{"kid": ["x"]}]}', b"\xff"],
+    ids=["nothing", "list", "null", "deep", "odd key", "bytes"],
+)  # fmt: skip
+def test_what_is_no_key_set(
+    published: bytes, provider: tuple[dict[str, Any], Path], tmp_path: Path
+) -> None:
+    path = tmp_path / "jwks.json"
+    path.write_bytes(published)
+    with pytest.raises(NoProvider):
+        Verifier(ISSUER, AUDIENCE, str(path), "team").verify(signed(provider[0]))
+
+
+def test_a_provider_that_speaks_no_http(provider: tuple[dict[str, Any], Path]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener, ThreadPoolExecutor(1) as pool:
+        place = f"http://127.0.0.1:{listener.getsockname()[1]}/jwks"
+        verifier = Verifier(ISSUER, AUDIENCE, place, "team")
+        told = pool.submit(verifier.verify, signed(provider[0]))
+        connection = listener.accept()[0]
+        connection.recv(4096)
+        connection.sendall(b"220 mail.example ESMTP\r\n")
+        connection.close()
+        with pytest.raises(NoProvider):
+            told.result(10)
+
+
+def test_a_provider_that_is_silent_holds_up_no_key(
+    make_server: Callable[..., Any], provider: tuple[dict[str, Any], Path]
+) -> None:
+    """Tokens wait for it, and are answered with 503; all else goes on meanwhile."""
+    with socket.create_server(("127.0.0.1", 0)) as silent, ThreadPoolExecutor(8) as pool:
+        server = make_server(
+            NIGHTGLASS_OIDC_ISSUER=ISSUER, NIGHTGLASS_OIDC_AUDIENCE=AUDIENCE,
+            NIGHTGLASS_OIDC_JWKS=f"http://127.0.0.1:{silent.getsockname()[1]}/jwks",
+            NIGHTGLASS_REQUEST_THREADS="4",
+        )  # fmt: skip
+        [key] = server.make_keys("red")
+
+        def usage(token: str) -> httpx.Response:
+            return httpx.get(f"{server.url}/v1/usage", headers=bearer(token), timeout=30)
+
+        waiting = [pool.submit(usage, signed(provider[0])) for _ in range(8)]
+        with silent.accept()[0]:
+            assert usage(key).status_code == 200
+            assert not any(one.done() for one in waiting)
+            answers = [one.result() for one in waiting]
+        for answer in answers:
+            assert answer.status_code == 503
+            assert "identity provider" in answer.json()["detail"]
 
 
 def test_an_engine_is_told_no_secret(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
