@@ -2,8 +2,9 @@
 
 let key = sessionStorage.getItem("nightglass-key") || "";
 
+// No header takes more than visible ASCII: anything else becomes a key that the service refuses.
 export function useKey(text) {
-  key = text.trim();
+  key = text.trim().replace(/[^!-~]/g, "?");
   if (key) sessionStorage.setItem("nightglass-key", key);
   else sessionStorage.removeItem("nightglass-key");
 }

@@ -8,27 +8,28 @@ import { submitView } from "./submit.js";
 const main = document.getElementById("main"), queue = document.getElementById("queue");
 const jobs = new Map(), rows = new Map();
 const POLL_MS = 2500, SHOWN = 200;
-let view = null, shown = "", lost = false, totals = {};
+let view = null, shown = "", lost = false, totals = {}, turns = 0;
 
 async function route() {
-  const [, kind, id] = location.hash.split("/");
+  const [, kind, id] = location.hash.split("/"), turn = ++turns;
+  const place = el("div"); // what is asked for late, for a view that was left, is not shown
+  main.replaceChildren(place);
   view?.close?.();
   view = null;
   shown = kind === "job" ? id : "";
   markShown();
   try {
     if (kind === "job") {
-      view = new JobView(main, id, noted);
+      view = new JobView(place, id, noted);
       await view.open();
     } else if (kind === "new" || !jobs.size) {
-      await submitView(main);
+      await submitView(place);
     } else {
       location.replace(`#/job/${newest()[0].id}`);
       return;
     }
   } catch (error) {
-    if (error.name === "AbortError") return;
-    failed(error);
+    if (error.name !== "AbortError" && turn === turns) failed(error);
   }
 }
 
@@ -109,7 +110,7 @@ async function poll() {
     }
     for (const job of found.values()) noted(job);
     counts();
-    if (!queue.children.length) fill(queue, el("li", { class: "quiet none" }, "no jobs yet"));
+    if (!jobs.size) fill(queue, el("li", { class: "quiet none" }, "no jobs yet"));
     else queue.querySelector(".none")?.remove();
     ready.textContent = "";
     ready.className = "ready up";

@@ -20,7 +20,11 @@ export class SceneForm {
   show(scene) {
     this.scene = scene;
     this.ids = 0;
-    fill(this.node, this.group(this.schema.root, scene, "", true));
+    try {
+      fill(this.node, this.group(this.schema.root, scene, "", true));
+    } catch { // a list or number stands where an object belongs
+      fill(this.node, el("p", { class: "quiet" }, "The form cannot show this scene: edit it as text."));
+    }
   }
 
   // Mistakes of the server's answer, [{ pointer, allowed }], shown beside their fields.

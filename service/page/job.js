@@ -5,7 +5,7 @@ import { amount, el, fill, hiddenBy, notice, number, seconds } from "./dom.js";
 import { jobSnippets } from "./snippets.js";
 import { trimmed } from "./schema.js";
 import { KINDS } from "./stretch.js";
-import { decisions, warnings } from "./submit.js";
+import { decisions, keepDraft, warnings } from "./submit.js";
 import { downloads, hasFrames, showTables, unitOf, waiting } from "./tables.js";
 import { Viewer } from "./viewer.js";
 import { Wcs, dms, hms } from "./wcs.js";
@@ -21,7 +21,7 @@ export class JobView {
 
   async open() {
     fill(this.main, el("p", { class: "quiet" }, "loading…"));
-    this.job = await json(this.path);
+    this.job = await json(this.path, { signal: this.abort.signal });
     this.layOut();
     this.told(this.job);
     this.clock = setInterval(() => { if (!ended(this.job)) this.time(); }, 1000);
@@ -76,20 +76,23 @@ export class JobView {
     }
   }
 
+  // Its buttons stay while tiles are counted: one that is replaced loses the click and the focus.
   heading() {
-    const job = this.job, share = job.tiles_total ? job.tiles_done / job.tiles_total : 0;
-    this.spent = el("span", { class: "quiet num" });
+    const job = this.job, state = [job.phase, job.cancel_asked, Boolean(this.made)].join();
+    if (state !== this.headed) {
+      this.headed = state;
+      this.spent = el("span", { class: "quiet num" });
+      this.bar = el("progress", { max: "1", "aria-label": "tiles done" });
+      fill(this.head,
+        el("div", { class: "bar" }, el("h1", {}, job.name),
+          el("span", { class: `phase ${job.phase}` }, job.phase.toLowerCase()),
+          this.spent,
+          el("span", { class: "spring" }), this.actions()),
+        ended(job) ? null : this.bar);
+    }
     this.time();
-    const bar = el("progress", { max: "1", "aria-label": "tiles done" });
-    if (job.phase === "COMPLETED") bar.value = 1;
-    else if (job.tiles_total) bar.value = share;
-    else if (job.phase !== "EXECUTING") bar.value = 0;
-    fill(this.head,
-      el("div", { class: "bar" }, el("h1", {}, job.name),
-        el("span", { class: `phase ${job.phase}` }, job.phase.toLowerCase()),
-        this.spent,
-        el("span", { class: "spring" }), this.actions()),
-      ended(job) ? null : bar);
+    if (job.tiles_total) this.bar.value = job.tiles_done / job.tiles_total;
+    else if (job.phase !== "EXECUTING") this.bar.value = 0;
   }
 
   // How far it is and how long that took; told anew every second.
@@ -159,9 +162,12 @@ export class JobView {
   again() {
     if (!hasFrames(this.job)) return null; // the form is of scenes
     return el("button", { type: "button", title: "a new scene that starts as this one", onclick: async () => {
-      const scene = await json(`${this.path}/scene`);
-      sessionStorage.setItem("nightglass-draft", JSON.stringify(trimmed(scene), null, 2));
-      location.hash = "#/new";
+      try {
+        keepDraft(JSON.stringify(trimmed(await json(`${this.path}/scene`))));
+        location.hash = "#/new";
+      } catch (error) {
+        notice(error.message);
+      }
     } }, "Edit as new");
   }
 

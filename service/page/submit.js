@@ -34,7 +34,7 @@ export async function submitView(main, begin) {
     turn += 1;
     text.value = JSON.stringify(state.scene, null, 2);
     fault.textContent = "";
-    sessionStorage.setItem(DRAFT, text.value);
+    keepDraft(JSON.stringify(state.scene));
   };
   const load = (scene) => {
     state.scene = scene;
@@ -55,7 +55,7 @@ export async function submitView(main, begin) {
       form.mistakes.clear();
       show(state.scene);
       fault.textContent = "";
-      sessionStorage.setItem(DRAFT, JSON.stringify(state.scene));
+      keepDraft(JSON.stringify(state.scene));
     } catch (error) {
       if (mine === turn) fault.textContent = `not ${isJson(text.value) ? "JSON" : "YAML"} yet: ${error.message}`;
     }
@@ -126,6 +126,15 @@ export async function submitView(main, begin) {
           copier(() => text.value, "the scene")), text, fault),
         submitSnippets())));
   load(state.scene);
+}
+
+// The text for when the page is opened again; none where it is too large for the browser.
+export function keepDraft(text) {
+  try {
+    sessionStorage.setItem(DRAFT, text);
+  } catch {
+    sessionStorage.removeItem(DRAFT);
+  }
 }
 
 const isJson = (text) => /^\s*([{[]|$)/.test(text);

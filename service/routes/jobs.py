@@ -20,7 +20,7 @@ from service.http.bodies import JSON, TEXTS, media_type, read_body
 from service.http.gate import allow_time
 from service.jobs.jobs import FINAL, Job, Phase
 from service.jobs.views import etag, job_dict
-from service.problems import Malformed, NotThere, TooMany, Unauthenticated
+from service.problems import Malformed, NoProvider, NotThere, TooMany, Unauthenticated
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 KEY = re.compile(r"[\x21-\x7e]{1,255}")
@@ -199,7 +199,7 @@ async def _events(service: Context, job: Job, last_event_id: str | None) -> Asyn
         except NotThere:
             yield "event: deleted\ndata: {}\n\n"
             return
-        except (Unauthenticated, TooMany):
+        except (Unauthenticated, NoProvider, TooMany):
             return
         if str(job.version) == sent:
             yield ": heartbeat\n\n"

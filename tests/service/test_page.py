@@ -450,6 +450,102 @@ def test_what_a_cancelled_job_keeps_is_told(
     server.client.delete(job)
 
 
+def test_a_slow_press_of_cancel_counts(page: Page, server: Any, scene: dict[str, Any]) -> None:
+    """Its button keeps the click and the focus while tiles are drawn."""
+    scene["sensor"]["shape"], scene["exposure"]["frames"] = [640, 640], 600
+    job = server.submit(scene)
+    tab = page.open(f"#/job/{job.rpartition('/')[2]}")
+    tab.wait_for_selector("canvas.sky")
+    button = tab.get_by_role("button", name="Cancel")
+    button.focus()
+    box, began = button.bounding_box(), tab.inner_text(".jobhead .num")
+    tab.mouse.move(box["x"] + 5, box["y"] + 5)
+    tab.mouse.down()
+    while tab.inner_text(".jobhead .num").split(",")[0] == began.split(",")[0]:
+        tab.wait_for_timeout(20)
+    assert tab.evaluate("document.activeElement.textContent") == "Cancel"
+    tab.mouse.up()
+    tab.wait_for_selector(".phase.ABORTED >> nth=0")
+    page.leave()
+    server.client.delete(job)
+
+
+def test_a_view_that_was_left_does_not_come_back(page: Page, server: Any, field: str) -> None:
+    """An answer that comes late is not shown in place of what was opened meanwhile."""
+    held: list[Any] = []
+    views = {f"#/job/{field.rpartition('/')[2]}": field, "#/new": "/v1/schema/scene"}
+    for left, other in (tuple(views), tuple(views)[::-1]):
+        tab = page.open()
+        tab.wait_for_selector(".jobhead, #submit")
+        tab.goto("about:blank")
+        tab.route(f"**{views[left]}", lambda route: held.append(route))
+        tab = page.open(left)
+        while not held:
+            tab.wait_for_timeout(20)
+        tab.goto(f"{server.url}/{other}")
+        shown = tab.wait_for_selector(".columns" if "job" in other else "#submit")
+        held.pop().continue_()
+        tab.unroute(f"**{views[left]}")
+        tab.wait_for_timeout(500)
+        assert shown.is_visible(), other
+        assert tab.locator("h1").count() == 1
+
+
+def test_that_there_are_no_jobs_stays_told(chromium: Any, make_server: Any) -> None:
+    page = Page(chromium, make_server().url)
+    tab = page.open("#/new")
+    tab.wait_for_selector("#queue .none")
+    with tab.expect_response("**/v1/usage"):  # the list is asked for again
+        pass
+    tab.wait_for_timeout(200)
+    assert tab.inner_text("#queue") == "no jobs yet"
+    tab.context.close()
+    assert page.faults == []
+
+
+def test_a_key_that_no_header_can_hold(chromium: Any, make_server: Any) -> None:
+    server = make_server()
+    server.make_keys("red")
+    page = Page(chromium, server.url)
+    tab = page.open()
+    tab.fill("#keyvalue", "ng_\u201csmart\u201d\u2026")
+    tab.keyboard.press("Enter")
+    tab.wait_for_selector(".card.bad:has-text('the API key is not valid')")
+    assert tab.inner_text("#ready") == "a key is needed"
+    tab.context.close()
+    assert [fault for fault in page.faults if "401" not in fault] == []
+
+
+def test_text_that_no_form_or_draft_can_hold(page: Page, scene: dict[str, Any]) -> None:
+    """It is planned and refused as any other."""
+    tab = page.open("#/new")
+    tab.wait_for_selector("#submit")
+    for wrong, told in (
+        ({"exposure": 5}, "/exposure"), ({"name": "x" * 6_000_000}, "a body of at most"),
+    ):  # fmt: skip
+        tab.fill("#json", json.dumps(scene | wrong))
+        tab.click("#plan")
+        tab.wait_for_selector(f"#answer .bad:has-text('{told}')")
+        assert tab.inner_text("p.mistake[role=alert]") == ""
+    page.faults[:] = [f for f in page.faults if "422" not in f and "413" not in f]
+
+
+def test_a_finished_job_fits_a_phone(page: Page, field: str) -> None:
+    tab = page.open()
+    tab.set_viewport_size({"width": 390, "height": 844})
+    tab.goto(f"{page.url}/#/job/{field.rpartition('/')[2]}")
+    tab.wait_for_selector(".columns")
+    tab.click("summary.button")
+    tab.click(".columns summary")
+    for box in (".menu > div", ".columns > div >> nth=0", ".columns > div >> nth=1"):
+        at = tab.locator(box).bounding_box()
+        assert at["x"] >= 0, box
+        assert at["x"] + at["width"] <= 390, box
+    for summary in ("summary.button", ".columns summary"):
+        mark = "e => getComputedStyle(e, '::before').content"
+        assert tab.locator(summary).evaluate(mark) == "none"
+
+
 WORDS = [
     ("seconds", [9.96], "10 s"), ("seconds", [0.04], "0.0 s"), ("seconds", [59.4], "59 s"),
     ("seconds", [59.6], "1 min 0 s"), ("seconds", [119.7], "2 min 0 s"),
