@@ -118,8 +118,9 @@ async function poll() {
     lost = false;
   } catch (error) {
     ready.className = "ready down";
-    ready.textContent = error.status === 401 || error.status === 403 ? "a key is needed" : "no answer from the service";
-    if ((error.status === 401 || error.status === 403) && !lost) askKey();
+    const unknown = error.status === 401 || error.status === 403;
+    ready.textContent = unknown ? "a key is needed" : error.status ? error.message : "no answer from the service";
+    if (unknown && !lost) askKey();
     lost = true;
   }
 }

@@ -503,6 +503,17 @@ def test_that_there_are_no_jobs_stays_told(chromium: Any, make_server: Any) -> N
     assert page.faults == []
 
 
+def test_a_service_that_refuses_is_not_told_to_be_silent(page: Page) -> None:
+    told = {"detail": "the job table is locked", "status": 503}
+    tab = page.open("#/new")
+    tab.wait_for_selector("#ready.up")
+    tab.route("**/v1/usage", lambda route: route.fulfill(status=503, json=told))
+    tab.wait_for_selector("#ready.down:has-text('the job table is locked')")
+    tab.route("**/v1/usage", lambda route: route.abort())
+    tab.wait_for_selector("#ready.down:has-text('no answer from the service')")
+    page.faults[:] = [f for f in page.faults if "/v1/usage" not in f]
+
+
 def test_a_key_that_no_header_can_hold(chromium: Any, make_server: Any) -> None:
     server = make_server()
     server.make_keys("red")
