@@ -15,6 +15,7 @@ from catalog_tools.engine.heap import few_collections
 from pipeline.errors import BadInput
 from service import logs
 from service.accounts.keys import any_key
+from service.accounts.oidc import check_place
 from service.app import create_app
 from service.http.wire import bounded
 from service.settings import Settings, read_settings, unknown_variables
@@ -33,6 +34,8 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
     Beyond loopback it serves only where requests need a key or token. Port 0 takes a free one.
     """
     settings = read_settings(home)
+    if settings.oidc_jwks:
+        check_place(settings.oidc_jwks)
     with bind(host, port, lambda: _guarded(settings)) as listener:
         logs.set_up()
         for name in unknown_variables():

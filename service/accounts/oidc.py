@@ -42,7 +42,7 @@ class Verifier:
         self._keys: Keys = {}
         self._read_s, self._reached = float("-inf"), True
         self._lock = threading.Lock()
-        _check_place(jwks)
+        check_place(jwks)
 
     def verify(self, token: str) -> tuple[str, str]:
         """(team, subject) of a token. Unauthenticated where it is not valid, Forbidden where it
@@ -88,13 +88,18 @@ class Verifier:
             return self._keys[kid]
 
 
-def _check_place(jwks: str) -> None:
-    """A file, https, or http on this machine."""
-    parts = urlsplit(jwks)
+def check_place(jwks: str) -> None:
+    """A file, https, or http on this machine; BadInput for anything else."""
+    allowed = "an https URL, or a file that is there"
+    try:
+        parts = urlsplit(jwks)
+        known = bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        raise BadInput("NIGHTGLASS_OIDC_JWKS", jwks, allowed) from None
     if parts.scheme not in ("http", "https"):
-        if not Path(jwks).is_file():
-            raise BadInput("NIGHTGLASS_OIDC_JWKS", jwks, "an https URL, or a file that is there")
-        return
+        known = Path(jwks).is_file()
+    if not known:
+        raise BadInput("NIGHTGLASS_OIDC_JWKS", jwks, allowed)
     if parts.scheme == "http" and not _loopback(parts.hostname or ""):
         raise BadInput("NIGHTGLASS_OIDC_JWKS", jwks, "https beyond this machine")
 

@@ -573,7 +573,7 @@ def _tokens(clock: Clock, folder: Path) -> list[str]:
         str(folder / "no"),
         "http://0.0.0.0/k",
     )
-    return lines + [told(oidc._check_place, place) for place in places]
+    return lines + [told(oidc.check_place, place) for place in places]
 
 
 async def _shared() -> list[str]:

@@ -6,6 +6,7 @@ import asyncio
 import inspect
 import json
 import logging
+import os
 import re
 import secrets
 import socket
@@ -573,9 +574,18 @@ def test_an_engine_is_told_no_secret(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_a_place_for_keys_must_be_safe(tmp_path: Path) -> None:
-    for place in ("http://id.example/jwks", str(tmp_path / "absent"), "ftp://x/y"):
+    odd = ("https://[id", "https://id.example:99999/jwks", "https:///jwks")
+    for place in ("http://id.example/jwks", str(tmp_path / "absent"), "ftp://x/y", *odd):
         with pytest.raises(BadInput):
             Verifier(ISSUER, AUDIENCE, place, "team")
+    environment = {"OIDC_ISSUER": ISSUER, "OIDC_AUDIENCE": AUDIENCE, "OIDC_JWKS": "https://[id"}
+    command = [sys.executable, "-m", "pipeline", "serve", "--port", "0", "--home", str(tmp_path)]
+    told = subprocess.run(
+        command, capture_output=True, text=True, timeout=60,
+        env=os.environ | {f"NIGHTGLASS_{name}": text for name, text in environment.items()},
+    )  # fmt: skip
+    assert (told.returncode, told.stdout) == (2, "")
+    assert told.stderr.startswith("nightglass: NIGHTGLASS_OIDC_JWKS"), told.stderr
     with pytest.raises(BadInput, match="OIDC"):
         read_settings(tmp_path, {"NIGHTGLASS_OIDC_ISSUER": ISSUER})
 
