@@ -9,6 +9,7 @@ import signal
 import socket
 import ssl
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -17,6 +18,7 @@ from urllib.parse import SplitResult, urlsplit
 
 import dask
 from distributed import Client, LocalCluster, Nanny, Security
+from distributed.utils import get_mp_context
 
 from ..errors import BadInput, Missing, TryLater, why_broken
 from .ahead import Value
@@ -26,6 +28,8 @@ CHATTY = ("distributed", "distributed.client", "tornado", "tornado.application")
 CERTIFICATES = ("NIGHTGLASS_CLUSTER_CA", "NIGHTGLASS_CLUSTER_CERT", "NIGHTGLASS_CLUSTER_KEY")
 WAIT_S = "NIGHTGLASS_WORKERS_WAIT_S"  # how long to wait for the first worker
 MOST_JOBS = 16
+DEAF = "catalog_tools.engine.deaf"
+FORKS = sys.platform == "linux"  # elsewhere a process of many libraries may not be forked
 ANSWER_S = 10.0  # how long a scheduler may take to answer
 
 
@@ -34,15 +38,36 @@ def cluster(kind: str, workers: int | None, cores: int) -> Iterator[tuple[Client
     """A client of processes, of Slurm's jobs or of the scheduler at an address; tasks at once."""
     set_up_dask()
     if kind == "processes":
-        with _processes(cores) as made, Client(made) as client:
+        with ExitStack() as closing:
+            with _interrupts_held():
+                client = closing.enter_context(Client(closing.enter_context(_processes(cores))))
             yield client, cores
         return
     with slurm(workers) if kind == "slurm" else connected(kind) as client:
         yield client, max(1, sum(client.nthreads().values()))
 
 
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl-C comes at the end: half a cluster cannot be closed."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # no signal comes here
+        return
+    held: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: held.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        for number in held[:1]:
+            signal.raise_signal(number)
+
+
 def _processes(count: int) -> LocalCluster:
     """Processes of this machine, of one thread each."""
+    if FORKS:  # off one process, which imports once what this one has of the product
+        ours = {name for name in sys.modules if name.split(".")[0] in ("pipeline", "catalog_tools")}
+        get_mp_context().set_forkserver_preload([DEAF, "distributed.nanny", *sorted(ours)])
     return LocalCluster(
         n_workers=count,
         threads_per_worker=1,
@@ -61,7 +86,7 @@ def set_up_dask() -> None:
         os.environ.setdefault(name, value)
     dask.config.set(
         {
-            "distributed.worker.multiprocessing-method": "spawn",
+            "distributed.worker.multiprocessing-method": "forkserver" if FORKS else "spawn",
             "distributed.scheduler.allowed-failures": 3,
             "distributed.worker.profile.enabled": False,
             # By default 1 to 1000 times a second, in every process: a tenth of a short job.

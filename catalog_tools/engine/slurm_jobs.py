@@ -20,7 +20,7 @@ SETTINGS = "settings in jobqueue.slurm of Dask's configuration"
 OF_THE_MOMENT = ("contact", "timed out", "temporarily")  # sbatch's words for what may pass
 
 
-class Job(SLURMJob):
+class SlurmJob(SLURMJob):
     """A job of Slurm; one that sbatch refuses counts as one that has ended."""
 
     refusal: Exception | None = None
@@ -39,7 +39,7 @@ class Job(SLURMJob):
 class Jobs(SLURMCluster):
     """A cluster that knows which of its jobs Slurm still has."""
 
-    job_cls = Job
+    job_cls = SlurmJob
     looked_s = -LOOK_S
     lost = ""  # why the last job that is gone has ended
     in_queue = ""  # state and reason of the jobs that are there
@@ -60,7 +60,7 @@ class Jobs(SLURMCluster):
         queue: dict[str, str] = {}
         if any(job.job_id for job in known.values()):
             try:
-                told = await Job._call(["squeue", "--me", "--noheader", "--format=%i %T (%r)"])
+                told = await SlurmJob._call(["squeue", "--me", "--noheader", "--format=%i %T (%r)"])
             except (OSError, RuntimeError):
                 return  # Slurm does not answer now
             queue = dict(line.strip().split(" ", 1) for line in told.splitlines())

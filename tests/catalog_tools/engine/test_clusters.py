@@ -17,8 +17,10 @@ from types import SimpleNamespace
 
 import dask
 import pytest
+from distributed.core import Status
 from distributed.scheduler import KilledWorker
 
+from catalog_tools.engine import clusters
 from catalog_tools.engine.addresses import check_address
 from catalog_tools.engine.cluster_scheduler import ClusterScheduler
 from catalog_tools.engine.clusters import security_of
@@ -78,6 +80,37 @@ def test_each_gives_every_outcome_once(kind):
     assert len(found) == 30
     assert isinstance(found.pop(13), ValueError)
     assert found == {i: 2 * i for i in range(30) if i != 13}
+
+
+def whence() -> tuple[int, bool, bool]:
+    """A worker's parent, whether it is deaf to Ctrl-C, whether it has the product's code."""
+    deaf = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    return os.getppid(), deaf, "pipeline.route.run" in sys.modules
+
+
+@pytest.mark.skipif(not clusters.FORKS, reason="processes are forked on Linux alone")
+def test_processes_are_forked_off_one_that_has_the_code_and_do_not_hear_ctrl_c():
+    with clusters.cluster("processes", 2, 2) as (client, _):
+        [(parent, *rest), other] = client.run(whence).values()
+    assert rest == [True, True]
+    assert other == (parent, True, True)
+    assert parent != os.getpid()
+
+
+def test_ctrl_c_while_processes_start_is_heard_once_they_can_be_closed(monkeypatch):
+    """It hung for a minute, or ended in the library's tracebacks."""
+    made, start = [], clusters._processes
+
+    def interrupted(count):
+        signal.raise_signal(signal.SIGINT)
+        made.append(start(count))
+        return made[0]
+
+    monkeypatch.setattr(clusters, "_processes", interrupted)
+    with pytest.raises(KeyboardInterrupt), clusters.cluster("processes", 1, 1):
+        pytest.fail("the work has begun")
+    assert made[0].status == Status.closed
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_processes_listen_to_this_machine_alone():
