@@ -102,11 +102,6 @@ class DiskFull(Incomplete):
         return f"{self.store}: the disk is full ({os.strerror(self.code)}); {self.remedy}"
 
 
-def is_full(error: BaseException) -> bool:
-    """Whether an error says that a disk is full (or a quota used up, or a file too large)."""
-    return isinstance(error, DiskFull) or (isinstance(error, OSError) and error.errno in NO_ROOM)
-
-
 def shorten(value: object, limit: int = 80) -> str:
     """`repr` of a value, cut to `limit` characters: values are never echoed whole."""
     try:

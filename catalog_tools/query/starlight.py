@@ -345,8 +345,3 @@ def _mean_light(bright: float, faint: float, low: float, high: float) -> tuple[f
         float(np.trapezoid(growth * light, m)) / number,
         float(np.trapezoid(growth * light**2, m)) / number,
     )
-
-
-def all_sky_s10(light: Floats) -> Floats:
-    """Light per sr in stars of tenth magnitude per square degree (S10)."""
-    return light * 10.0**4 * DEG2_SR

@@ -11,9 +11,10 @@ import typer
 
 from pipeline.commands.options import Json, Output, print_mapping
 from pipeline.commands.pages import is_quiet
-from pipeline.errors import BadInput, check_new
+from pipeline.errors import BadInput
 from pipeline.inputs.sensor.cosmic_ray_darks import extract_library, open_darks
 from pipeline.inputs.sensor.cosmic_ray_library import read_library, write_library
+from pipeline.store.result_files import check_ending
 from pipeline.studies.cosmic_rays import compare_library, draw_comparison
 
 cosmic_rays = typer.Typer(
@@ -44,7 +45,7 @@ def extract(
         raise BadInput("--threshold-sigma", threshold_sigma, "3 or more: noise is no event")
     if not 1.0 <= grow_sigma <= threshold_sigma:
         raise BadInput("--grow-sigma", grow_sigma, f"1 to the threshold, {threshold_sigma:g}")
-    _check_place(output, ".fits")
+    check_ending(output, [".fits"])
     darks = open_darks(dark_frames)
     show = None if is_quiet(as_json) else _show
     library, found = extract_library(
@@ -72,7 +73,7 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Draw a library beside the generator (PNG or SVG): size, charge, charge per length, rate."""
-    _check_place(output, ".png", ".svg")
+    check_ending(output, [".png", ".svg"])
     events = read_library(library, "LIBRARY")
     pitch = events.pixel_pitch_um or pixel_pitch_um
     if pitch is None or not 0.05 <= pitch <= 1000:
@@ -83,12 +84,6 @@ def compare(
     study = compare_library(events, pitch, thickness_um, diffusion_um, threshold_e)
     draw_comparison(study, output)
     print_mapping(study["summary"], as_json)
-
-
-def _check_place(output: Path, *kinds: str) -> None:
-    check_new(output)
-    if not output.parent.is_dir() or output.suffix not in kinds:
-        raise BadInput("-o", str(output), f"a {' or '.join(kinds)} file in a folder that exists")
 
 
 def _show(done: int, total: int) -> None:

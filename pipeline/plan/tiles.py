@@ -74,9 +74,3 @@ def overlap(a: Tile, b: Tile) -> Tile:
     y0, x0 = max(a.y0, b.y0), max(a.x0, b.x0)
     y1, x1 = min(a.y0 + a.rows, b.y0 + b.rows), min(a.x0 + a.columns, b.x0 + b.columns)
     return Tile(a.row, a.column, y0, x0, max(0, y1 - y0), max(0, x1 - x0))
-
-
-def allowed_tiles(scene: Scene) -> list[int]:
-    """Tile sides that the scene allows on its longer axis (multiples of the cell, or all of it)."""
-    longest = max(scene.sensor.shape)
-    return [*range(CELL_PX, longest, CELL_PX), longest]

@@ -51,7 +51,7 @@ from pipeline.plan.pointing.geometry import camera_of, plan_geometry
 from pipeline.plan.response.decisions import core_ends
 from pipeline.plan.response.responses import ResponsePlan, cut_share, plan_responses
 from pipeline.plan.stars.faint import peak_share
-from pipeline.plan.tiles import allowed_tiles, plan_tiles, tile_shape
+from pipeline.plan.tiles import plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
 from tests.plans import plan_from
 
@@ -91,9 +91,6 @@ def test_default_tiles_of_odd_frames(scene: Make) -> None:
         s = scene({"sensor.shape": [rows, columns]})
         assert tile_shape(s) == (min(1024, rows), min(1024, columns))
         assert sum(t.rows * t.columns for t in plan_tiles(s)) == rows * columns
-        longest = max(rows, columns)
-        cells = [n for n in range(1, longest) if n % 256 == 0]
-        assert allowed_tiles(s) == [*cells, longest]
 
 
 @pytest.mark.parametrize("shape", [[100, 768], [512, 300], [768, 768], [256, 1024]])

@@ -119,14 +119,6 @@ def brightest_for(plan: SpectralPlan, budget_e: float) -> float:
     return budget_e / plan.error
 
 
-def crowd_error(plan: SpectralPlan, light_e: Array, pixels: float) -> float:
-    """Typical (rms) error of a pixel in a crowd [e-]: errors of many sources add up like noise.
-
-    light_e : (n,) light of the sources that are spread over `pixels` pixels
-    """
-    return plan.error * math.sqrt(CROWD_PX * float(np.square(light_e).sum()) / pixels)
-
-
 def plan_spectral(
     shape: Pair,
     core: Core,

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-LARGEST_NOLL = 66  # radial orders up to 10
-
 
 def noll_orders(j: int) -> tuple[int, int]:
     """Radial order n and azimuthal order m of Noll's index j >= 1 (Noll 1976, JOSA 66, 207).

@@ -279,7 +279,7 @@ def test_command_line(darks, tmp_path):
     assert len(read_library(tmp_path / "made.fits")) > 100
     for changed, says in (
         ([out, *options], "does not exist yet"),
-        ([str(tmp_path / "a.txt"), *options], "a .fits file"),
+        ([str(tmp_path / "a.txt"), *options], "ends in .fits"),
         ([str(tmp_path / "b.fits"), *options, "--gain-e-per-dn", "0"], "above 0"),
         ([str(tmp_path / "b.fits"), *options, "--threshold-sigma", "1"], "3 or more"),
         ([str(tmp_path / "b.fits"), *options, "--grow-sigma", "9"], "1 to the threshold"),

@@ -14,9 +14,9 @@ from pipeline.errors import BadInput
 from pipeline.physics.drawing.spectral import Sources, draw_spectral, transfer_table
 from pipeline.physics.drawing.spectral_band import peak_light
 from pipeline.physics.drawing.spectral_plan import (
+    CROWD_PX,
     SpectralPlan,
     brightest_for,
-    crowd_error,
     plan_spectral,
 )
 from pipeline.physics.drawing.stamps import draw_stamps
@@ -336,7 +336,8 @@ def test_errors_of_a_crowd_add_up_like_noise() -> None:
         )
         many = [Sources(x, y, light, path)]
         off = draw(coarse, core, many) - draw(fine, core, many)
-        assert 0.1 <= off.std() / crowd_error(coarse, light, 316.0**2) <= 1.0
+        together = coarse.error * np.sqrt(CROWD_PX * np.square(light).sum() / 316.0**2)
+        assert 0.1 <= off.std() / together <= 1.0
 
 
 def test_float32_keeps_far_pixels_dark() -> None:
