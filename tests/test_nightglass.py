@@ -175,6 +175,8 @@ def test_a_frame_that_is_not_there(made, frame):
 def test_what_is_no_product(made, copy, tmp_path):
     for path in (tmp_path / "none", tmp_path, "s3://bucket/run", made.path / "plan.json"):
         refused(nightglass.BadInput, "made by `nightglass render`", nightglass.open_product, path)
+    for words in ("PRODUCT: 's3://bucket/run' is", "object store is read by xarray"):
+        refused(nightglass.BadInput, words, nightglass.open_product, "s3://bucket/run")
     refused(nightglass.BadInput, "product: None", nightglass.open_product, None)
     (copy / "_COMPLETE").unlink()
     refused(nightglass.Incomplete, "not complete", nightglass.open_product, copy)

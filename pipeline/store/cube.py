@@ -27,6 +27,7 @@ from pipeline.store.layout import (
     COMPLETE,
     CUBE,
     LONG_NAMES,
+    no_product,
     sync_folder,
     write_atomically,
 )
@@ -233,7 +234,7 @@ def open_raw_cube(product: Path) -> xr.Dataset:
 def check_complete(product: Path) -> None:
     """Raise BadInput where a path holds no product, Incomplete where it holds an unfinished one."""
     if not (product / CUBE).is_dir():
-        raise BadInput("PRODUCT", str(product), "a product directory made by `nightglass render`")
+        raise no_product(product)
     if not (product / COMPLETE).is_file():
         raise Incomplete(
             f"{product}: this product is not complete; go on with `nightglass render SCENE -o "

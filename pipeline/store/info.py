@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
-from pipeline.errors import BadInput
 from pipeline.spec.load import load_scene
 from pipeline.store import layout
 from pipeline.store.markers import markers_present
@@ -16,10 +15,7 @@ from pipeline.store.product import begun_tiles
 def tiles_done(product: Path) -> tuple[int, int]:
     """How many tiles of a product are kept, and of how many. BadInput where there is none."""
     if not (product / layout.BEGUN).is_file():
-        allowed = "a product directory made by `nightglass render`"
-        if (product / "nightglass.json").is_file():
-            allowed += "; of a catalogue `nightglass catalog info` tells"
-        raise BadInput("PRODUCT", str(product), allowed)
+        raise layout.no_product(product)
     return len(list(markers_present(product))), begun_tiles(product)
 
 

@@ -12,10 +12,12 @@ from typing import TypeVar
 
 from catalog_tools.storage.durable import full_disk_told, write_atomically
 from catalog_tools.storage.durable import sync as sync_folder
-from pipeline.errors import NO_ROOM, TryLater
+from catalog_tools.storage.urls import is_url
+from pipeline.errors import NO_ROOM, BadInput, TryLater
 
 __all__ = [
     "full_disk",
+    "no_product",
     "only_writer",
     "sync_folder",
     "to_json",
@@ -48,6 +50,17 @@ LONG_NAMES = {  # layers of the cube: what they are, and their unit
     "lag_e": ("left by frames before, less what stays behind", "electron"),
     "cosmic_rays_e": ("charge of cosmic rays, drawn; not in mean_e", "electron"),
 }
+
+
+def no_product(path: Path) -> BadInput:
+    """What is told of a path that holds no product."""
+    place, allowed = str(path), "a product directory made by `nightglass render`"
+    if is_url(path):
+        place = place.replace(":/", "://", 1)  # a path has one slash
+        allowed += "; one in an object store is read by xarray (docs/cluster.md)"
+    elif (path / "nightglass.json").is_file():
+        allowed += "; of a catalogue `nightglass catalog info` tells"
+    return BadInput("PRODUCT", place, allowed)
 
 
 def layers_in(product: Path) -> list[str]:

@@ -374,7 +374,7 @@ def check(path: Path, fault_of_tile: Callable[[Path, Path], str | None] | None =
     """
     fault_of_tile = fault_of_tile or _marker_fault
     if not (path / layout.BEGUN).is_file():
-        raise BadInput("PRODUCT", str(path), "a product directory made by `nightglass render`")
+        raise layout.no_product(path)
     complete = (path / layout.COMPLETE).is_file()
     verdict = Verdict(str(path), complete, 0, int(_identity(path)["tiles"]))
     for marker in markers_present(path):
