@@ -41,7 +41,7 @@ def tile_progress(quiet: bool) -> Iterator[Listener | None]:
             yield None
             return
         told("planning", 0, None)
-        yield lambda progress: told("rendering", progress.done, progress.total)
+        yield lambda progress: told(progress.stage, progress.done, progress.total)
 
 
 @contextmanager

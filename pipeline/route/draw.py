@@ -26,11 +26,16 @@ Listener = Callable[["Progress"], None]
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a render is: tiles done of all, and what was just done."""
+    """How far a render is: tiles done of all, and what was just done; "wait": for workers."""
 
     done: int
     total: int
     doing: str
+
+    @property
+    def stage(self) -> str:
+        """In words."""
+        return "waiting for workers" if self.doing == "wait" else "rendering"
 
 
 def draw(

@@ -105,6 +105,8 @@ def render(
                 writing.unseal()
                 writing.put_plan(layout.to_json(summary))
                 heard = partial(_heard, writing, listen)
+                if listen is not None and not options.processes:  # in a queue, maybe for hours
+                    listen(Progress(len(writing.begun.done), mine.tiles(prepared.plan), "wait"))
                 with _explained(place, writing, share), drawing:
                     scheduler = early or drawing.enter_context(_scheduler(options))
                     draw(prepared, writing.begun, scheduler, heard, mine)

@@ -630,6 +630,7 @@ def test_progress(monkeypatch: pytest.MonkeyPatch) -> None:
     for quiet in (True, False):
         with pages.tile_progress(quiet) as tiles, pages.stage_progress(quiet, "shards") as stages:
             if tiles is not None and stages is not None:
+                tiles(Progress(0, 5, "wait"))
                 tiles(Progress(2, 5, "tile"))
                 stages("sorting", 1, None)
         with pages.progress_listener("points", quiet) as points:

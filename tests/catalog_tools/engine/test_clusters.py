@@ -26,7 +26,7 @@ from catalog_tools.engine.cluster_scheduler import ClusterScheduler
 from catalog_tools.engine.clusters import security_of
 from catalog_tools.engine.schedulers import open_scheduler
 from catalog_tools.errors import BadInput, Incomplete, TryLater
-from pipeline.route.run import render
+from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.product import content_digest
 from tests.service.conftest import SCENE
@@ -225,10 +225,15 @@ def test_a_lost_scheduler_says_so_and_nothing_else(own_cluster, capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_a_scheduler_without_workers_is_no_mistake(own_cluster, monkeypatch):
+def test_a_scheduler_without_workers_is_no_mistake(own_cluster, monkeypatch, tmp_path):
     monkeypatch.delenv("NIGHTGLASS_WORKERS_WAIT_S")
     with pytest.raises(TryLater, match="no workers"), open_scheduler(own_cluster.address, None):
         pass
+    heard = []
+    with pytest.raises(TryLater, match="no workers"):
+        render(parse_scene(SCENE), tmp_path / "run", Options(own_cluster.address), heard.append)
+    assert [told.stage for told in heard] == ["waiting for workers"]
+    assert (heard[0].done, heard[0].total) == (0, 2)
 
 
 def test_a_worker_of_other_code_is_refused_by_name(own_cluster, tmp_path):
