@@ -219,6 +219,18 @@ def test_progress_is_heard(tmp_path):
     assert (seen[0].done, seen[-1].done, seen[-1].total) == (0, 2, 2)
 
 
+def test_a_plain_script_may_draw_by_processes(tmp_path):
+    """Without `if __name__ == "__main__"`: each process ran the script again, and drew, too."""
+    script, run = tmp_path / "script.py", str(tmp_path / "run")
+    script.write_text(
+        "import nightglass\nprint('once')\n"
+        f"nightglass.render({SCENE!r}, {run!r}, scheduler='processes', workers=2)\n"
+    )
+    done = subprocess.run([sys.executable, script], cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "once\n", "")
+    assert nightglass.open_product(run).report["frames"] == 2
+
+
 def test_a_calibrated_product_opens_too(made, tmp_path):
     from pipeline.calibrate import calibrate
 

@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import FrameType
 from urllib.parse import SplitResult, urlsplit
@@ -38,13 +39,27 @@ def cluster(kind: str, workers: int | None, cores: int) -> Iterator[tuple[Client
     """A client of processes, of Slurm's jobs or of the scheduler at an address; tasks at once."""
     set_up_dask()
     if kind == "processes":
-        with ExitStack() as closing:
+        with _no_script(), ExitStack() as closing:
             with _interrupts_held():
                 client = closing.enter_context(Client(closing.enter_context(_processes(cores))))
             yield client, cores
         return
     with slurm(workers) if kind == "slurm" else connected(kind) as client:
         yield client, max(1, sum(client.nthreads().values()))
+
+
+@contextmanager
+def _no_script() -> Iterator[None]:
+    """Processes that start do not run the script that starts them: it would start others.
+
+    multiprocessing takes a main module of this name as what needs no running.
+    """
+    main = sys.modules["__main__"]
+    before, main.__spec__ = main.__spec__, ModuleSpec("__main__", None)
+    try:
+        yield
+    finally:
+        main.__spec__ = before
 
 
 @contextmanager
