@@ -127,7 +127,7 @@ class _Way:
         if after_s.max() >= self._end_s:
             raise BadInput(
                 field,
-                f"re-entry {self._end_s:.0f} s from the epoch",
+                f"re-entry {self._end_s / 60.0:.0f} min from the epoch",
                 f"an orbit that stays above {REENTRY_HEIGHT_M / 1e3:.0f} km during all exposures",
             )
         if not self._dense:
