@@ -88,10 +88,10 @@ class _Reader:
 
     def _rows(self, segments: list[Ephemeris], field: str, path: Path) -> JsonObject:
         """Rows of the segment that covers the exposures, in GCRS, after the scene's epoch."""
-        spans = [self._seconds(s)[[0, -1]] for s in segments]
+        spans = [elapsed_s(self._epoch, *s.useable) for s in segments]
         fits = [k for k, (a, b) in enumerate(spans) if a <= 0.0 and b >= self._dwell_s]
         if not fits:
-            shown = "; ".join(f"{_utc(s, 0)} to {_utc(s, -1)}" for s in segments[:4])
+            shown = "; ".join(f"{_utc(s, 0)} to {_utc(s, 1)}" for s in segments[:4])
             end = instants(self._epoch, [self._dwell_s])
             raise BadInput(
                 f"{field}.path",
@@ -172,4 +172,5 @@ def to_gcrs(table: Ephemeris, keep: slice) -> tuple[Array, Array | None]:
 
 
 def _utc(table: Ephemeris, i: int) -> str:
-    return format_utc(float(table.utc1[i]), float(table.utc2[i]))
+    """The start (0) or the end (1) of what is useable of a table, as text."""
+    return format_utc(float(table.useable[0][i]), float(table.useable[1][i]))

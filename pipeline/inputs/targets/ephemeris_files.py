@@ -58,6 +58,8 @@ class Ephemeris:
 
     utc1, utc2 : (n,) two-part UTC; place_m : (n, 3); speed_m_s : (n, 3) or None
     frame : gcrs, itrf or teme, whose axes the rows are in (velocities too)
+    useable : UTC (2,), (2,) from when to when the file serves, between its first and last row: rows
+        beyond are there for the polynomials
     """
 
     name: str
@@ -66,6 +68,7 @@ class Ephemeris:
     utc2: Array
     place_m: Array
     speed_m_s: Array | None
+    useable: tuple[Array, Array]
 
 
 def read_ephemeris(
@@ -102,7 +105,10 @@ def read_ephemeris(
 def _table(
     name: str, frame: str, times: tuple[Array, Array], rows: Array, where: tuple[Path, str]
 ) -> Ephemeris:
-    """Rows (n, 3) or (n, 6) [m, m/s] as an Ephemeris; BadInput unless finite and in order."""
+    """Rows (n, 3) or (n, 6) [m, m/s] as an Ephemeris; BadInput unless finite and in order.
+
+    All of its span is useable.
+    """
     path, field = where
     if len(rows) < 2:
         raise BadInput(field, f"{len(rows)} rows of {name} in {path.name}", "at least 2 rows")
@@ -115,7 +121,8 @@ def _table(
         i = int(np.argmax(~(step > 0))) + 2
         raise BadInput(field, f"row {i} of {name} in {path.name}", "increasing times, each once")
     speed = rows[:, 3:] if rows.shape[1] == 6 else None
-    return Ephemeris(name, frame, *times, rows[:, :3], speed)
+    span = (times[0][[0, -1]], times[1][[0, -1]])
+    return Ephemeris(name, frame, *times, rows[:, :3], speed, span)
 
 
 def _to_utc(calendar: Array, scale: str, path: Path, field: str) -> tuple[Array, Array]:
@@ -237,18 +244,23 @@ def _oem_segment(
     if centre != "EARTH" or ours is None:
         allowed = f"CENTER_NAME EARTH, REF_FRAME {', '.join(_FRAMES)} or ITRF..."
         raise BadInput(field, f"CENTER_NAME {centre}, REF_FRAME {frame} of {path.name}", allowed)
+    if ours != "gcrs" and (held := meta.get("REF_FRAME_EPOCH")):
+        allowed = f"{frame} of date; EME2000 or GCRF for axes that stand still"
+        raise BadInput(field, f"REF_FRAME_EPOCH {held} of {path.name}", allowed)
     times = _calendar([r[0] for r in rows], path, field)
     utc = _to_utc(times, meta.get("TIME_SYSTEM", "").upper(), path, field)
     width = 6 if all(len(r) >= 7 for r in rows) else 3
     values = 1e3 * _numbers([r[1 : 1 + width] for r in rows], path, field)
-    useable = np.ones(len(rows), bool)
-    for name, sign in (("USEABLE_START_TIME", 1.0), ("USEABLE_STOP_TIME", -1.0)):
+    table = _table(key, ours, utc, values, (path, field))
+    for i, name in enumerate(("USEABLE_START_TIME", "USEABLE_STOP_TIME")):
         if name in meta:
-            edge = _to_utc(
+            (day,), (part,) = _to_utc(
                 _calendar([meta[name]], path, field), meta["TIME_SYSTEM"].upper(), path, field
             )
-            useable &= sign * ((utc[0] - edge[0][0]) + (utc[1] - edge[1][0])) > -1e-9
-    return _table(key, ours, (utc[0][useable], utc[1][useable]), values[useable], (path, field))
+            inwards = (day - table.useable[0][i]) + (part - table.useable[1][i])
+            if (inwards if i == 0 else -inwards) > 0.0:
+                table.useable[0][i], table.useable[1][i] = day, part
+    return table
 
 
 def _csv(text: str, path: Path, frame: str, epoch: str, field: str) -> Ephemeris:

@@ -273,7 +273,45 @@ def test_each_segment_has_its_own_metadata(tmp_path: Path) -> None:
     path = tmp_path / "sat.oem"
     path.write_text(first.replace("META_STOP", stop) + second[second.index("META_START") :])
     (segments,) = read_ephemeris(path, None, SCENE["epoch"], "f").values()
-    assert [len(one.place_m) for one in segments] == [41, 61]
+    until = [Time(*(part[1] for part in one.useable), format="jd", scale="utc") for one in segments]
+    assert [round((t - start).sec) for t in until] == [600, 5800]
+
+
+def test_rows_beyond_the_useable_times_hold_the_polynomials(tmp_path: Path) -> None:
+    """Useable from 5 s before the exposures, between two rows: to a micrometre of the orbit, which
+    rows on one side alone do not give. Exposures beyond are refused, by the times that are told."""
+    t = np.arange(-960.0, 2401.0, 240.0)
+    start = Time("2017-02-14T06:07:00", scale="utc")
+    place, speed = two_body(np.array([7e6, 0, 0]), np.array([0, 6000.0, 5500.0]), t)
+    text = oem("EME2000", place, speed, list((start + t * u.s).isot))
+    path = tmp_path / "sat.oem"
+    for first_s, accepted in ((-5.0, True), (5.0, False)):
+        use = f"USEABLE_START_TIME = {(start + first_s * u.s).isot}\nMETA_STOP"
+        path.write_text(text.replace("META_STOP", use))
+        if accepted:
+            found, _ = states(table({"kind": "ephemeris", "path": str(path)}), np.array([0.0, 60]))
+            true, _ = two_body(np.array([7e6, 0, 0]), np.array([0, 6e3, 5500.0]), np.array([0, 60]))
+            assert np.linalg.norm(found - true, axis=1).max() < 1e-5
+        else:
+            with pytest.raises(BadInput, match="06:07:05"):
+                table({"kind": "ephemeris", "path": str(path)})
+
+
+@pytest.mark.parametrize("frame", ["TEME", "ITRF2014", "GCRF"])
+def test_axes_of_date_that_are_held_at_an_epoch(tmp_path: Path, frame: str) -> None:
+    """502.0-B-3, table 5-3: REF_FRAME_EPOCH holds axes that turn with the date; from J2000 to 2017
+    those of TEME turn by 0.2 degrees. It says nothing of axes that never turn."""
+    t = np.arange(-600.0, 601.0, 60.0)
+    place, speed = two_body(np.array([7e6, 0, 0]), np.array([0, 6000.0, 5500.0]), t)
+    text = oem(frame, place, speed, list((Time("2017-02-14T06:07:00", scale="utc") + t * u.s).isot))
+    held = f"REF_FRAME = {frame}\nREF_FRAME_EPOCH = 2000-01-01T12:00:00\n"
+    path = tmp_path / "sat.oem"
+    path.write_text(text.replace(f"REF_FRAME = {frame}\n", held))
+    if frame == "GCRF":
+        assert table({"kind": "ephemeris", "path": str(path)}).nodes
+    else:
+        with pytest.raises(BadInput, match=f"{frame} of date"):
+            table({"kind": "ephemeris", "path": str(path)})
 
 
 def test_one_file_in_two_frames_and_from_two_epochs(tmp_path: Path) -> None:
