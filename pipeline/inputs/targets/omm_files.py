@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+
+import numpy as np
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
@@ -72,22 +75,36 @@ def read_text(path: Path, field: str, largest: int) -> str:
 def mean_elements(fields: JsonObject, key: str, field: str) -> JsonObject:
     """The elements of one message, as `omm.elements` takes them; `key` names it in messages.
 
-    Without BSTAR (SGP4-XP gives BTERM) a set would be carried on without drag.
+    Without BSTAR (SGP4-XP gives BTERM) a set would be carried on without drag. SGP4 gives places in
+    TEME of date: axes held at another epoch than the elements' are not its own.
     """
     for name, allowed in _EXPECTED.items():
         value = fields.get(name)
         if value not in (None, "") and str(value).strip().upper() not in allowed:
             raise BadInput(field, f"{name} = {value} of {key}", f"{name} {allowed[0]}")
+    held = fields.get("REF_FRAME_EPOCH")
+    if held not in (None, "", fields.get("EPOCH")):
+        raise BadInput(field, f"REF_FRAME_EPOCH = {held} of {key}", "TEME of date")
     out: JsonObject = {}
     for ours, theirs in _KEYS.items():
         value = fields.get(theirs)
         if value in (None, ""):
             raise BadInput(field, f"no {theirs} of {key}", f"an OMM with {theirs}")
         try:
-            out[ours] = str(value).strip() if ours == "epoch" else float(value)
+            out[ours] = _calendar(str(value).strip()) if ours == "epoch" else float(value)
         except (TypeError, ValueError):
             raise BadInput(field, f"{theirs} = {value} of {key}", "a number") from None
     return out
+
+
+def _calendar(epoch: str) -> str:
+    """A CCSDS time with a day of the year (2019-110T03:00:00) as one with month and day."""
+    found = re.fullmatch(r"(\d{4})-(\d{3})(T.*)", epoch, re.ASCII)
+    if found is None:
+        return epoch
+    year, day, time = found.groups()
+    date = str(np.datetime64(f"{year}-01-01") + (int(day) - 1))
+    return f"{date}{time}" if date.startswith(f"{year}-") else epoch
 
 
 def _from_json(text: str) -> Iterable[JsonObject]:

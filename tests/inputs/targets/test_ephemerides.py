@@ -382,6 +382,24 @@ def test_omm_is_the_tle(tmp_path: Path, kind: str) -> None:
     assert np.abs(ours[1] - theirs[1]).max() < 1e-5
 
 
+@pytest.mark.parametrize("kind", ["json", "kvn", "xml"])
+def test_an_omm_may_count_the_days_of_the_year(tmp_path: Path, kind: str) -> None:
+    """Both CCSDS forms of a time (301.0-B-4, ASCII codes A and B) are the same epoch; day 366 of
+    2019 is no day of the next year, but refused as it stands with all other times."""
+    path = tmp_path / "iss.omm"
+    path.write_text(omm_text(kind))
+    plain = gather_ephemerides(scene({"kind": "omm", "path": str(path)}, "2019-04-20T03:00:00Z"))
+    path.write_text(omm_text(kind).replace("2019-04-20T02", "2019-110T02"))
+    assert "-110T" in path.read_text()
+    asked = scene({"kind": "omm", "path": str(path)}, "2019-04-20T03:00:00Z")
+    assert gather_ephemerides(asked).targets == plain.targets
+    path.write_text(path.read_text().replace("-110T", "-366T"))
+    (found,) = read_omm(path, "f").values()
+    assert found["epoch"].startswith("2019-366T")
+    with pytest.raises(BadInput, match="2019-366T"):
+        parse_utc(found["epoch"])
+
+
 def test_observer_from_a_file_and_scenes_without(tmp_path: Path) -> None:
     bare = parse_scene(SCENE)
     assert gather_ephemerides(bare) is bare
@@ -453,6 +471,7 @@ def test_limits_missing_large_and_binary_files(tmp_path: Path) -> None:
         ({"MEAN_MOTION": "fast"}, "a number"),
         ({"EPOCH": None}, "EPOCH"),
         ({"BSTAR": None}, "no BSTAR"),  # drag would be 0: 34 km after three days of 1.5e-4
+        ({"REF_FRAME_EPOCH": "2000-01-01T12:00:00"}, "TEME of date"),
     ],
 )
 def test_limits_other_theories(tmp_path: Path, change: dict[str, Any], words: str) -> None:
