@@ -127,7 +127,7 @@ def _sensor(scene: Scene, layer: str, frame: int) -> Cards:
         ("SECPIX", pixel_arcsec, "[arcsec] a pixel at the boresight"),
         ("TRKMODE", dwell.pointing.mode, "what the sensor follows"),
     ]
-    outputs = _outputs(s)
+    outputs, raw = _outputs(s), layer == "dn"
     for key, name, unit in (
         ("GAIN", "gain_e_per_dn", "[e-/adu]"),
         ("RDNOISE", "read_noise_e", "[e-] rms"),
@@ -136,7 +136,10 @@ def _sensor(scene: Scene, layer: str, frame: int) -> Cards:
     ):
         values = {one[name] for one in outputs}
         cards.append((key, values.pop() if len(values) == 1 else "amplifiers", unit))
-    level_dn = _saturation_dn(s, outputs) if layer == "dn" else None
+    if not raw:  # GAIN is of the header's own data: photometry takes its photon noise from it
+        cards = [card for card in cards if card[0] not in ("GAIN", "BIASLVL")]
+        cards.append(("GAIN", 1.0, "[e-] a unit of this layer"))
+    level_dn = _saturation_dn(s, outputs) if raw else None
     if level_dn is not None:
         cards.append(("SATURATE", level_dn, "[adu] lowest level at which a pixel saturates"))
     return cards

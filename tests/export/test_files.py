@@ -91,6 +91,24 @@ def test_cards_of_the_sensor_hold_for_every_pixel(sensor, told, tmp_path, monkey
     assert header.get("SATURATE", least) == least
 
 
+@pytest.mark.parametrize("amplifiers", [(), HALVES], ids=("one", "amplifiers"))
+def test_gain_is_of_the_layer_that_the_file_holds(amplifiers, tmp_path):
+    """The photon noise of electrons is that of a gain of 1, and no bias is left in them, whatever
+    the outputs' gains. SExtractor with the raw gain of 1.5 told 12% too small errors."""
+    scene = copy.deepcopy(SCENE)
+    scene["sensor"] |= {"gain_e_per_dn": 1.5, "read_noise_e": 3.0}
+    if amplifiers:
+        own = [one | {"gain_e_per_dn": g} for one, g in zip(amplifiers, (1.4, 1.6), strict=True)]
+        scene["sensor"]["detector"] = {"amplifiers": own}
+    scene["output"]["layers"] = ["dn", "mean_e", "calibrated_e"]
+    render(parse_scene(scene), tmp_path / "run")
+    for layer in ("mean_e", "calibrated_e"):
+        (path,) = export_frames(tmp_path / "run", "fits", tmp_path / f"{layer}.fits", 0, layer)
+        header = fits.getheader(path)
+        keys = ("BUNIT", "GAIN", "RDNOISE", "BIASLVL", "SATURATE")
+        assert [header.get(key) for key in keys] == ["electron", 1.0, 3.0, None, None]
+
+
 def test_each_frame_tells_what_its_own_dwell_follows(tmp_path):
     scene = copy.deepcopy(SCENE)
     own = {"mode": "sidereal", "boresight_ra_deg": 10, "boresight_dec_deg": 0}
