@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -45,7 +46,8 @@ def fits_header(cube: xr.Dataset, frame: int, layer: str) -> Cards:
         ("SYNTHSTR", bool(cube.attrs["synthetic_stars"]), "stars are synthetic, none is real"),
     ]
     if cube.attrs.get("catalogue"):
-        cards.append(("CATALOG", str(cube.attrs["catalogue"])[:68], "star catalogue"))
+        name = re.sub(r"[^ -~]", "?", str(cube.attrs["catalogue"]))  # a header holds ASCII alone
+        cards.append(("CATALOG", name[:68], "star catalogue"))
         digest = str(cube.attrs["catalogue_digest"])
         cards.append(("CATDIG", digest[:16], "first digits of the catalogue's digest"))
     return [

@@ -91,6 +91,13 @@ def test_cards_of_the_sensor_hold_for_every_pixel(sensor, told, tmp_path, monkey
     assert header.get("SATURATE", least) == least
 
 
+def test_a_catalogue_may_have_any_name(product):
+    """A FITS header holds printable ASCII alone (FITS 4.0, 4.2.1): the rest are question marks."""
+    cube = open_cube(product).assign_attrs(catalogue="Müllers Sterne\n", catalogue_digest="0123")
+    cards = fits_header(cube, 0, "dn")
+    assert fits.Header(cards)["CATALOG"] == "M?llers Sterne?"
+
+
 @pytest.mark.parametrize("amplifiers", [(), HALVES], ids=("one", "amplifiers"))
 def test_gain_is_of_the_layer_that_the_file_holds(amplifiers, tmp_path):
     """The photon noise of electrons is that of a gain of 1, and no bias is left in them, whatever
