@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pipeline.errors import BadInput
 from pipeline.execute.outlook import full_warnings
 from pipeline.inputs.earth_orientation import gather_turned, turn_off_rad
+from pipeline.inputs.targets.ephemerides import gather_ephemerides
 from pipeline.inputs.targets.populations import screened
 from pipeline.observe.times import Times
 from pipeline.physics.constants import ARCSEC_RAD, DAY_S, EARTH_EQUATORIAL_RADIUS_M
@@ -90,7 +91,8 @@ def _sensor_of(asked: Scene) -> tuple[ResolvedScene, list[str], bool]:
     except BadInput as error:
         if error.field != "pointing":
             raise
-        found, refused = resolve(_looking_up(accepting)), error
+        # orbits of files over all exposures, not over the one at the zenith
+        found, refused = resolve(_looking_up(gather_ephemerides(accepting))), error
     r, notes = found.scene, [*found.warnings, *found.remarks]
     if not r.responses.classes:  # nothing is drawn: the responses of targets all the same
         g = found.geometry

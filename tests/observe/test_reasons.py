@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import astropy.coordinates as coord
@@ -12,6 +13,7 @@ from astropy.time import Time
 
 from pipeline.observe.observe import observe
 from pipeline.physics.positions.earth import earth_and_sun
+from pipeline.physics.positions.orbit_two_body import two_body
 from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.targets.shadow import moon_m
 from pipeline.physics.vectors import to_angles, unit
@@ -133,6 +135,37 @@ def test_a_camera_that_looks_at_the_ground() -> None:
     later = observe(parse_scene(scene), "0,86400,300").counts()
     assert later["below horizon"] > 200
     assert later["in shadow"] > 3
+
+
+def test_a_camera_from_a_file_that_looks_at_the_ground(tmp_path: Path) -> None:
+    """Orbits of rows a second apart, over exposures of a minute: as from the states themselves."""
+    times = np.arange(-5.0, 71.0)
+    orbits = {}
+    for name, radius_m in (("camera", 7.2e6), ("low", 7.0e6)):
+        start = np.array([radius_m, 0, 0]), np.array([0, np.sqrt(3.986004418e14 / radius_m), 0])
+        rows = np.column_stack([times, *two_body(*start, times)])
+        lines = [",".join(repr(float(v)) for v in row) for row in rows]
+        head = "time_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s"
+        (tmp_path / f"{name}.csv").write_text("\n".join([head, *lines]))
+        of_file = {"kind": "ephemeris", "path": str(tmp_path / f"{name}.csv"), "frame": "gcrs"}
+        state = {
+            "kind": "state",
+            "position_m": start[0].tolist(),
+            "velocity_m_s": start[1].tolist(),
+        }
+        orbits[name] = (of_file, state)
+    tables = []
+    for k in (0, 1):
+        scene = night(
+            observer={"kind": "orbit", "orbit": orbits["camera"][k]},
+            targets=[{"name": "ball", "orbit": orbits["low"][k], "body": BALL}],
+            pointing=TRACK, background=None,
+            exposure={"integration_s": 1.0, "frames": 7, "cadence_s": 10.0},
+        )  # fmt: skip
+        tables.append(observe(parse_scene(scene)).table.to_pydict())
+    assert tables[0]["seen"] == tables[1]["seen"]
+    for name, within in (("ra_deg", 1e-7), ("dec_deg", 1e-7), ("range_m", 1e-3)):
+        assert np.allclose(tables[0][name], tables[1][name], rtol=0.0, atol=within), name
 
 
 def test_the_sun_in_the_field_is_no_refusal() -> None:
