@@ -1,7 +1,8 @@
 """Orbits from files: OMM mean elements; OEM, SP3 and CSV tables, turned to GCRS axes.
 
-EME2000 and ICRF are taken for GCRS (their axes differ by 0.02 arcsec: 4 m at GEO). Earth-fixed
-tables (ITRF) are turned with UT1 and the pole of the IERS tables, TEME tables as SGP4's frame.
+EME2000 (mean equator and equinox of J2000.0) is turned by the frame bias of GCRS, 0.02 arcsec (IERS
+Conventions 2010, section 5.6.1); ICRF has the axes of GCRS. Earth-fixed tables (ITRF) are turned
+with UT1 and the pole of the IERS tables, TEME tables as SGP4's frame.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ Read = TypeVar("Read")
 
 LIGHT_MARGIN_S = 1000.0  # rows are kept for light that left this long before (2 au)
 SPARE_ROWS = 16  # on either side, for the polynomials
+J2000_JD = 2451545.0
 
 
 def gather_ephemerides(scene: Scene) -> Scene:
@@ -148,6 +150,9 @@ def to_gcrs(table: Ephemeris, keep: slice) -> tuple[Array, Array | None]:
     speed = None if table.speed_m_s is None else table.speed_m_s[keep]
     if table.frame == "gcrs":
         return place, speed
+    if table.frame == "eme2000":
+        bias = era.bp06(J2000_JD, 0.0)[0]
+        return place @ bias, None if speed is None else speed @ bias
     utc1, utc2 = table.utc1[keep], table.utc2[keep]
     start = (float(utc1[0]), float(utc2[0]))
     end = (float(utc1[-1]), float(utc2[-1]))

@@ -32,8 +32,8 @@ _TAI_MINUS_S = {  # seconds from a satellite system's time to TAI
     "TDB": -32.184,
 }
 _FRAMES = {
-    "EME2000": "gcrs",
-    "J2000": "gcrs",
+    "EME2000": "eme2000",
+    "J2000": "eme2000",
     "GCRF": "gcrs",
     "GCRS": "gcrs",
     "ICRF": "gcrs",
@@ -57,7 +57,7 @@ class Ephemeris:
     """One object's rows without a break, by increasing time.
 
     utc1, utc2 : (n,) two-part UTC; place_m : (n, 3); speed_m_s : (n, 3) or None
-    frame : gcrs, itrf or teme, whose axes the rows are in (velocities too)
+    frame : gcrs, eme2000, itrf or teme, whose axes the rows are in (velocities too)
     useable : UTC (2,), (2,) from when to when the file serves, between its first and last row: rows
         beyond are there for the polynomials
     """
@@ -244,7 +244,7 @@ def _oem_segment(
     if centre != "EARTH" or ours is None:
         allowed = f"CENTER_NAME EARTH, REF_FRAME {', '.join(_FRAMES)} or ITRF..."
         raise BadInput(field, f"CENTER_NAME {centre}, REF_FRAME {frame} of {path.name}", allowed)
-    if ours != "gcrs" and (held := meta.get("REF_FRAME_EPOCH")):
+    if ours in ("teme", "itrf") and (held := meta.get("REF_FRAME_EPOCH")):
         allowed = f"{frame} of date; EME2000 or GCRF for axes that stand still"
         raise BadInput(field, f"REF_FRAME_EPOCH {held} of {path.name}", allowed)
     times = _calendar([r[0] for r in rows], path, field)
