@@ -206,6 +206,8 @@ def _of_table(error: DBAPIError | PoolTimeout) -> Exception:
         return Damaged("the job table", "it is not what was written; restore it from a backup")
     if isinstance(error, OperationalError | PoolTimeout):
         return problems.TableFault("the job table is locked or cannot be reached")
+    if "read-only transaction" in told:  # of PostgreSQL: a standby, or a server that is full
+        return problems.TableFault("the job table can be read only: nothing was stored")
     return error
 
 

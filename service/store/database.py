@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import sqlalchemy as sa
 
@@ -19,7 +20,15 @@ from service.store.tables import HEAD
 LOCK_NUMBER = 7_316_881  # of PostgreSQL's advisory locks: writers of jobs, one at a time
 FORMAT = 2  # PRAGMA user_version; the first form, without alembic, has 1
 BUSY_S = 30.0
-MISTAKES = ("authentication failed", "does not exist", "pg_hba.conf")  # of who set the URL
+MISTAKES = (  # of who set the URL
+    "authentication failed", "no password supplied", "does not exist", "pg_hba.conf",
+    "SSL was required",
+)  # fmt: skip
+# How long a PostgreSQL server may say nothing, unless the URL says otherwise (libpq's own: hours).
+SILENCE = {
+    "connect_timeout": 10, "keepalives_idle": 10, "keepalives_interval": 5, "keepalives_count": 4,
+    "tcp_user_timeout": 30_000,
+}  # fmt: skip
 
 
 def connect(url: str) -> sa.Engine:
@@ -30,7 +39,7 @@ def connect(url: str) -> sa.Engine:
     """
     try:
         parts = sa.make_url(url)
-    except sa.exc.ArgumentError:
+    except (sa.exc.ArgumentError, ValueError):  # ValueError: a port that is no number
         raise BadInput("NIGHTGLASS_DATABASE", "(not a URL)", ALLOWED) from None
     shown = parts.render_as_string(hide_password=True)
     kind = parts.get_backend_name()
@@ -43,7 +52,9 @@ def connect(url: str) -> sa.Engine:
     else:
         parts = parts.set(drivername="postgresql+psycopg")
         try:
-            engine = sa.create_engine(parts, pool_pre_ping=True, pool_size=20)
+            silence = {k: v for k, v in SILENCE.items() if k not in parts.query}
+            engine = sa.create_engine(parts, pool_pre_ping=True, pool_size=20, connect_args=silence)
+            sa.event.listen(engine, "connect", _bound_waits)
         except ModuleNotFoundError:
             name = "NIGHTGLASS_DATABASE"
             raise Missing(
@@ -140,6 +151,14 @@ def _configure(connection: sqlite3.Connection, _: object) -> None:
         "trusted_schema = OFF",
     ):
         connection.execute(f"PRAGMA {pragma}").close()
+
+
+def _bound_waits(connection: Any, _: object) -> None:
+    """No lock is waited for longer than with SQLite, and a process that halts or is cut off in a
+    transaction does not keep the others' lock for ever."""
+    connection.execute(f"SET lock_timeout = {BUSY_S * 1000:.0f}")
+    connection.execute(f"SET idle_in_transaction_session_timeout = {BUSY_S * 2000:.0f}")
+    connection.commit()
 
 
 def _begin(connection: sa.Connection) -> None:

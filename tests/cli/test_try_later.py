@@ -72,5 +72,6 @@ def test_a_database_that_does_not_answer(tmp_path, closed_port, monkeypatch):
     monkeypatch.setenv("NIGHTGLASS_DATABASE", url)
     ran = nightglass("serve", "--home", tmp_path, "--port", "0")
     assert (ran.returncode, "does not answer" in ran.stderr) == (4, True)
-    monkeypatch.setenv("NIGHTGLASS_DATABASE", "oracle://x/y")
-    assert nightglass("serve", "--home", tmp_path, "--port", "0").returncode == 2
+    for mistake in ("oracle://x/y", "postgresql://ann@host:port/jobs"):
+        monkeypatch.setenv("NIGHTGLASS_DATABASE", mistake)
+        assert nightglass("serve", "--home", tmp_path, "--port", "0").returncode == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -16,14 +17,17 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from pipeline.errors import TryLater
 from service.accounts.auth import Caller
+from service.app import _of_table
 from service.jobs.jobs import FINAL, NEXT, Job, Phase, Queue
 from service.jobs.submissions import Ask, Intake, TeamLimits, run_pending, submit_many, used_by
 from service.jobs.views import job_dict
-from service.problems import KeyReused, NotReady, NotThere, QueueFull
+from service.problems import KeyReused, NotReady, NotThere, QueueFull, TableFault
 from service.routes.jobs import _events
 from service.scenes.uploads import Uploads
 from service.settings import Settings
+from service.store.database import LOCK_NUMBER, SILENCE, connect
 from service.store.leases import give_up, take
 from service.store.tables import audit, jobs, uploads
 
@@ -301,6 +305,57 @@ def test_the_lease_has_one_holder(database: str) -> None:
     assert not take(store.engine, "one", 60)
     give_up(store.engine, "two")
     assert take(store.engine, "one", 60)
+    store.close()
+
+
+def test_a_halted_process_keeps_no_lock_for_ever(
+    postgres: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that halts in a transaction: the others give up, then the server ends it."""
+    monkeypatch.setattr("service.store.database.BUSY_S", 0.5)
+    database = postgres.database()
+    halted, other = Queue(database), Queue(database)
+    with halted.engine.connect() as db:
+        db.execute(sa.select(sa.func.pg_advisory_xact_lock(LOCK_NUMBER)))
+        began_s = time.monotonic()
+        with pytest.raises(sa.exc.OperationalError, match="lock timeout"):
+            submit_many(other, [ask()], TeamLimits())
+        assert time.monotonic() - began_s < 10.0
+        time.sleep(1.0)
+        [(_, made)] = submit_many(other, [ask()], TeamLimits())
+        assert made
+        with pytest.raises(sa.exc.DBAPIError):  # the halted one goes on: too late
+            db.execute(sa.delete(jobs))
+    assert len(other.listing((), 0, 9)) == 1
+    halted.close()
+    other.close()
+
+
+def test_a_server_that_says_nothing_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The port is open, as of a machine that hangs, and nobody speaks."""
+    pytest.importorskip("psycopg", reason="psycopg is not installed")
+    monkeypatch.setitem(SILENCE, "connect_timeout", 2)
+    began_s = time.monotonic()
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        port = silent.getsockname()[1]
+        with pytest.raises(TryLater, match=r"does not answer: .*timeout"):
+            connect(f"postgresql://ann@127.0.0.1:{port}/jobs")
+    assert time.monotonic() - began_s < 20.0
+
+
+def test_a_table_that_can_be_read_only_is_said(postgres: Any) -> None:
+    """A standby, or a server whose disk is kept: 503, as a table that is locked; nothing stored."""
+    database = postgres.database()
+    store = Queue(database)
+    with store.engine.begin() as db:
+        name = db.engine.url.database
+        db.exec_driver_sql(f"ALTER DATABASE {name} SET default_transaction_read_only = on")
+    store.engine.dispose()
+    with pytest.raises(sa.exc.DBAPIError) as refused:
+        submit_many(store, [ask()], TeamLimits())
+    told = _of_table(refused.value)
+    assert isinstance(told, TableFault)
+    assert "read only" in str(told)
     store.close()
 
 
