@@ -74,20 +74,22 @@ done
 mount --bind "$2/data" "$1/data"
 ip link set lo up 2>/dev/null || python3 -c 'import fcntl, socket, struct
 s = socket.socket(); fcntl.ioctl(s, 0x8914, struct.pack("16sh", b"lo", 1 | 64))'
-enter() { # chroot needs a capability: it comes first, then all are given up
+enter() { # in place of this shell; chroot needs a capability: it comes first, then none is left
     # shellcheck disable=SC2046
-    env -i $(cat "$2/environment") HOME=/data chroot "$1" /usr/bin/setpriv --reuid 10001 \
+    exec env -i $(cat "$2/environment") HOME=/data chroot "$1" /usr/bin/setpriv --reuid 10001 \
         --regid 10001 --clear-groups --no-new-privs --bounding-set=-all --inh-caps=-all -- \
         sh -c "cd /data; exec $3"
 }
 enter "$1" "$2" "nightglass serve --home /data" &
 served=$!
-enter "$1" "$2" "python ask.py" || { kill "$served"; exit 1; }
+(enter "$1" "$2" "python ask.py") || { kill "$served"; exit 1; }
 kill -TERM "$served"
-wait "$served" || echo "the service ended with $?"
-enter "$1" "$2" "nightglass render scene.json -o run1"
-enter "$1" "$2" "nightglass check run1"
-enter "$1" "$2" "dask scheduler --version"
+ended=0
+wait "$served" || ended=$?
+[ "$ended" -eq 143 ] || { echo "the service ended with $ended, not by SIGTERM"; exit 1; }
+(enter "$1" "$2" "nightglass render scene.json -o run1")
+(enter "$1" "$2" "nightglass check run1")
+(enter "$1" "$2" "dask scheduler --version")
 INSIDE
 unshare --mount --pid --fork --net --kill-child --propagation private \
     sh "$work/inside.sh" "$root" "$work"

@@ -44,7 +44,7 @@ class Settings:
     sweep_points : most points of a sweep
     queued_jobs, running_jobs, pixel_frames_day, bytes_kept : what one team may have waiting, may
         have running, may ask for a day, and may keep on disk (uploads count)
-    wait_s : longest time that one GET may wait for a change
+    wait_s : longest time that one GET may wait for a change; most proxies give up at 60 s
     heartbeat_s : pause after which an event stream shows that it lives
     watchers : how many requests may wait for changes at once; a team has at most as many as are
         left free
@@ -86,7 +86,7 @@ class Settings:
     running_jobs: int = 1000
     pixel_frames_day: int = 1 << 40
     bytes_kept: int = 1 << 40
-    wait_s: float = 60.0
+    wait_s: float = 50.0
     heartbeat_s: float = 15.0
     watchers: int = 1000
     plan_s: float = 60.0

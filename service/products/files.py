@@ -12,6 +12,7 @@ from typing import BinaryIO
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
+from service.jobs.views import is_known
 from service.problems import NotThere
 
 PIECE_BYTES = 1 << 18
@@ -72,7 +73,7 @@ def serve_file(request: Request, folder: Path, relative: str) -> Response:
     about = os.fstat(file.fileno())
     size, etag = about.st_size, f'"{about.st_mtime_ns:x}-{about.st_size:x}"'
     headers = {"ETag": etag, "Accept-Ranges": "bytes", "X-Content-Type-Options": "nosniff"}
-    if request.headers.get("if-none-match") == etag:
+    if is_known(request.headers.get("if-none-match"), etag):
         file.close()
         return Response(status_code=304, headers=headers)
     asked = RANGE.fullmatch(request.headers.get("range", "").strip())

@@ -19,7 +19,7 @@ from service.context import Context, Service
 from service.http.bodies import JSON, TEXTS, media_type, read_body
 from service.http.gate import allow_time
 from service.jobs.jobs import FINAL, Job, Phase
-from service.jobs.views import etag, job_dict
+from service.jobs.views import etag, is_known, job_dict
 from service.problems import Malformed, NoProvider, NotThere, TooMany, Unauthenticated
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
@@ -112,9 +112,9 @@ async def watch(
 ) -> Response:
     """A job. With `wait`, answers when it differs from the ETag given (else from now), or ends."""
     job = await run_in_threadpool(service.store.get, job_id)
-    known = if_none_match or etag(job)
     wait_s = min(wait, service.settings.wait_s)
-    if wait_s and etag(job) == known and job.phase not in FINAL:
+    unchanged = if_none_match is None or is_known(if_none_match, etag(job))
+    if wait_s and unchanged and job.phase not in FINAL:
         allow_time(request, wait_s + service.settings.answer_s)
         with service.changes.places.taken(service.caller.team):
             await service.change(job, wait_s)
@@ -122,7 +122,7 @@ async def watch(
     headers = {"ETag": etag(job)}
     if job.phase not in FINAL:
         headers["Retry-After"] = "1"
-    if if_none_match == etag(job):
+    if is_known(if_none_match, etag(job)):
         return Response(status_code=304, headers=headers)
     return JSONResponse(job_dict(job, service.settings.dashboard), headers=headers)
 

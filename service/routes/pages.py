@@ -9,6 +9,7 @@ from importlib.resources import files
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
+from service.jobs.views import is_known
 from service.problems import NotThere
 
 router = APIRouter(include_in_schema=False)
@@ -58,6 +59,6 @@ def part(request: Request, name: str) -> Response:
         raise NotThere("there is no such file of the page")
     content, tag = _contents()[name]
     headers = HEADERS | {"ETag": tag}
-    if request.headers.get("if-none-match") == tag:
+    if is_known(request.headers.get("if-none-match"), tag):
         return Response(status_code=304, headers=headers)
     return Response(content, media_type=TYPES[name.rpartition(".")[2]], headers=headers)

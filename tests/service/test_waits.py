@@ -106,6 +106,23 @@ def test_a_watch_waits_for_a_change_of_what_is_known(
     asyncio.run(talk())
 
 
+def test_a_watch_waits_behind_a_proxy_that_packs_answers() -> None:
+    """It makes the ETag weak, and the client sends it back so: unchanged, all the same."""
+
+    async def talk() -> None:
+        service: Any = Waited([P.QUEUED, P.EXECUTING])
+        first = service.jobs[0]
+        await watch(service.request, service, first.id, 300.0, f"W/{etag(first)}")
+        assert service.waits == [300.0]
+
+    asyncio.run(talk())
+
+
+def test_a_wait_ends_before_a_proxy_gives_up() -> None:
+    """nginx, and most others, answer with 504 after 60 s."""
+    assert Settings(Path()).wait_s < 60.0
+
+
 @pytest.mark.parametrize(
     ("look", "found", "more"),
     [("plan", "plan", ()), ("forecast", "forecast", ()), ("observe", "observed", ({"snr": 5.0},))],
