@@ -146,6 +146,19 @@ def test_join_names_what_is_damaged(tmp_path, whole):
     assert render(scene, product, share=Share(1, 2))["content_digest"] == whole
 
 
+def test_join_leaves_a_seal_that_may_hold(tmp_path):
+    """A file system that caches shows a marker of another machine late: nothing is undone."""
+    product, scene = tmp_path / "run", parse_scene(SCENE)
+    for part in (1, 2):
+        render(scene, product, share=Share(part, 2))
+    marker = next((product / "markers").iterdir())
+    unseen = marker.rename(tmp_path / marker.name)
+    with pytest.raises(Incomplete, match="missing"):
+        join(product)
+    unseen.rename(marker)
+    assert check(product).whole
+
+
 def test_a_part_waits_for_who_writes_it(tmp_path, whole):
     """The same part is being written elsewhere: refused at once, or waited for."""
     product, scene, part = tmp_path / "run", parse_scene(SCENE), Share(1, 2)

@@ -233,8 +233,10 @@ def _joined(place: Place, prepared: Prepared, times: JsonObject, wait_s: float =
         begun = writing.begun
         if writing.is_sealed(WHOLE.tiles(plan)):
             return writing.report()
-        writing.unseal()
         if lacks := lacking(plan, begun.done, begun.truth_done):
+            if begun.redrawn:  # else a seal may hold: a file system may show others' files late
+                writing.unseal()
             told = lacks.told(place.name, plan, writing.locks(), begun.redrawn)
             raise Incomplete(told)
+        writing.unseal()
         return _finished(prepared, writing, times)

@@ -96,7 +96,7 @@ def only_writer(product: Path, shared: str | None = None, wait_s: float = 0.0) -
     """Hold the product's lock; another running writer is waited for, a dead one is not.
 
     shared : name of a part; writers of other parts are let in beside it
-    Raises TryLater where the other one goes on for longer.
+    Raises TryLater where the other one goes on for longer, BadInput where there can be no lock.
     """
     with waited(wait_s, lambda: _locked(product, shared)):
         yield
@@ -114,6 +114,9 @@ def _locked(product: Path, shared: str | None) -> ExitStack:
         except OSError as error:
             if error.errno in NO_ROOM:
                 raise
+            if not isinstance(error, BlockingIOError):  # waiting would not help
+                allowed = f"a folder that can be written, with locks (flock); {error.strerror}"
+                raise BadInput("PRODUCT", str(product), allowed) from None
             raise TryLater(
                 f"{product}: another render is writing this product now (--wait waits for it)"
             ) from None

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import errno
 import json
+import os
 import shutil
 from dataclasses import replace
 
@@ -203,6 +205,18 @@ def test_one_writer_at_a_time(product):
         fcntl.flock(handle, fcntl.LOCK_EX)
         with pytest.raises(TryLater, match="another render"):
             render(scene(), product, Options(resume=True))
+
+
+@pytest.mark.parametrize("code", [errno.EROFS, errno.EACCES, errno.ENOLCK, errno.ENOSYS])
+def test_a_place_without_locks_is_not_that_of_another_writer(product, monkeypatch, code):
+    """Read only, another user's, or a file system without locks: to wait would not help."""
+
+    def refuse(*_):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr("pipeline.store.layout.fcntl.flock", refuse)
+    with pytest.raises(BadInput, match=os.strerror(code)):
+        render(scene(), product, Options(resume=True, wait_s=60.0))
 
 
 @pytest.mark.parametrize("compression", ["zstd", "none"])
