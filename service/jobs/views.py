@@ -51,11 +51,6 @@ def etag(job: Job) -> str:
     return f'"{job.version}"'
 
 
-def is_known(asked: str | None, tag: str) -> bool:
-    """Whether If-None-Match names this ETag. A proxy that packs answers makes it weak: `W/"3"`."""
-    return tag in [one.strip().removeprefix("W/") for one in (asked or "").split(",")]
-
-
 def utc(seconds: float | None) -> str | None:
     """Unix seconds as ISO 8601 in UTC, to the millisecond."""
     if seconds is None:

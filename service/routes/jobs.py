@@ -19,8 +19,9 @@ from service.context import Context, Service
 from service.http.bodies import JSON, TEXTS, media_type, read_body
 from service.http.gate import allow_time
 from service.jobs.jobs import FINAL, Job, Phase
-from service.jobs.views import etag, is_known, job_dict
+from service.jobs.views import etag, job_dict
 from service.problems import Malformed, NoProvider, NotThere, TooMany, Unauthenticated
+from service.products.files import is_known
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 KEY = re.compile(r"[\x21-\x7e]{1,255}")

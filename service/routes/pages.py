@@ -9,8 +9,8 @@ from importlib.resources import files
 from fastapi import APIRouter, Request
 from fastapi.responses import Response
 
-from service.jobs.views import is_known
 from service.problems import NotThere
+from service.products.files import is_known
 
 router = APIRouter(include_in_schema=False)
 TYPES = {
