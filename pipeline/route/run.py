@@ -105,10 +105,9 @@ def render(
                 writing.unseal()
                 writing.put_plan(layout.to_json(summary))
                 heard = partial(_heard, writing, listen)
-                if listen is not None and not options.processes:  # in a queue, maybe for hours
-                    listen(Progress(len(writing.begun.done), mine.tiles(prepared.plan), "wait"))
+                begun = Progress(len(writing.begun.done), mine.tiles(prepared.plan), "wait")
                 with _explained(place, writing, share), drawing:
-                    scheduler = early or drawing.enter_context(_scheduler(options))
+                    scheduler = early or drawing.enter_context(_awaited(options, begun, heard))
                     draw(prepared, writing.begun, scheduler, heard, mine)
                 times["draw_s"] = time.perf_counter() - started - times["plan_s"]
                 times |= {"workers": scheduler.workers, "scheduler": options.scheduler}
@@ -163,6 +162,15 @@ def _claim(prepared: Prepared, options: Options, share: Share | None) -> Claim:
 
 def _scheduler(options: Options) -> AbstractContextManager[Scheduler]:
     return open_scheduler(options.scheduler, options.workers)
+
+
+def _awaited(
+    options: Options, begun: Progress, heard: Listener
+) -> AbstractContextManager[Scheduler]:
+    """The scheduler; where its workers may be in a queue, maybe for hours, that is told."""
+    if not options.processes:
+        heard(begun)
+    return _scheduler(options)
 
 
 def _opened(options: Options, place: Place, share: Share | None, stack: ExitStack) -> Scheduler:

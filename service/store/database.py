@@ -10,9 +10,9 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import sqlalchemy as sa
+from sqlalchemy.engine.interfaces import DBAPIConnection
 
 from pipeline.errors import NO_ROOM, BadInput, DiskFull, Missing, NightglassError, TryLater
 from service.store.tables import HEAD
@@ -153,11 +153,13 @@ def _configure(connection: sqlite3.Connection, _: object) -> None:
         connection.execute(f"PRAGMA {pragma}").close()
 
 
-def _bound_waits(connection: Any, _: object) -> None:
+def _bound_waits(connection: DBAPIConnection, _: object) -> None:
     """No lock is waited for longer than with SQLite, and a process that halts or is cut off in a
     transaction does not keep the others' lock for ever."""
-    connection.execute(f"SET lock_timeout = {BUSY_S * 1000:.0f}")
-    connection.execute(f"SET idle_in_transaction_session_timeout = {BUSY_S * 2000:.0f}")
+    cursor = connection.cursor()
+    cursor.execute(f"SET lock_timeout = {BUSY_S * 1000:.0f}")
+    cursor.execute(f"SET idle_in_transaction_session_timeout = {BUSY_S * 2000:.0f}")
+    cursor.close()
     connection.commit()
 
 

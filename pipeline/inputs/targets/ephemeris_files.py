@@ -239,6 +239,21 @@ def _oem(text: str, path: Path, field: str) -> dict[str, list[Ephemeris]]:
 def _oem_segment(
     meta: dict[str, str], rows: list[list[str]], key: str, path: Path, field: str
 ) -> Ephemeris:
+    ours = _frame_of(meta, path, field)
+    times = _calendar([r[0] for r in rows], path, field)
+    utc = _to_utc(times, meta.get("TIME_SYSTEM", "").upper(), path, field)
+    width = 6 if all(len(r) >= 7 for r in rows) else 3
+    values = 1e3 * _numbers([r[1 : 1 + width] for r in rows], path, field)
+    table = _table(key, ours, utc, values, (path, field))
+    for i, name in enumerate(("USEABLE_START_TIME", "USEABLE_STOP_TIME")):
+        if name in meta:
+            edge = _calendar([meta[name]], path, field)
+            _narrow(table, i, _to_utc(edge, meta["TIME_SYSTEM"].upper(), path, field))
+    return table
+
+
+def _frame_of(meta: dict[str, str], path: Path, field: str) -> str:
+    """Our name of a segment's axes; BadInput where they, or the centre, are not known here."""
     centre, frame = meta.get("CENTER_NAME", "EARTH").upper(), meta.get("REF_FRAME", "").upper()
     ours = "itrf" if frame.startswith("ITRF") else _FRAMES.get(frame)
     if centre != "EARTH" or ours is None:
@@ -247,20 +262,15 @@ def _oem_segment(
     if ours in ("teme", "itrf") and (held := meta.get("REF_FRAME_EPOCH")):
         allowed = f"{frame} of date; EME2000 or GCRF for axes that stand still"
         raise BadInput(field, f"REF_FRAME_EPOCH {held} of {path.name}", allowed)
-    times = _calendar([r[0] for r in rows], path, field)
-    utc = _to_utc(times, meta.get("TIME_SYSTEM", "").upper(), path, field)
-    width = 6 if all(len(r) >= 7 for r in rows) else 3
-    values = 1e3 * _numbers([r[1 : 1 + width] for r in rows], path, field)
-    table = _table(key, ours, utc, values, (path, field))
-    for i, name in enumerate(("USEABLE_START_TIME", "USEABLE_STOP_TIME")):
-        if name in meta:
-            (day,), (part,) = _to_utc(
-                _calendar([meta[name]], path, field), meta["TIME_SYSTEM"].upper(), path, field
-            )
-            inwards = (day - table.useable[0][i]) + (part - table.useable[1][i])
-            if (inwards if i == 0 else -inwards) > 0.0:
-                table.useable[0][i], table.useable[1][i] = day, part
-    return table
+    return ours
+
+
+def _narrow(table: Ephemeris, i: int, edge: tuple[Array, Array]) -> None:
+    """Let what is useable of a table begin (i = 0) or end (1) at an edge within its span."""
+    (day,), (part,) = edge
+    inwards = (day - table.useable[0][i]) + (part - table.useable[1][i])
+    if (inwards if i == 0 else -inwards) > 0.0:
+        table.useable[0][i], table.useable[1][i] = day, part
 
 
 def _csv(text: str, path: Path, frame: str, epoch: str, field: str) -> Ephemeris:

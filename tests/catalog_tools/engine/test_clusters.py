@@ -33,7 +33,7 @@ from tests.service.conftest import SCENE
 from tests.slurm import slurm_of_one_node, stand_in_for_slurm
 from tests.tls_cluster import ROOT, make_certificates, tls_cluster_in
 
-LONGER_THAN_A_JOB_S = 120.0  # CPU seconds; Slurm looks at limits every half minute
+LONGER_THAN_A_JOB_S = 240.0  # CPU seconds of two processes; limits are looked at every 30 s
 
 
 def double(shared: int, item: int) -> int:
