@@ -29,6 +29,7 @@ CHATTY = ("distributed", "distributed.client", "tornado", "tornado.application")
 CERTIFICATES = ("NIGHTGLASS_CLUSTER_CA", "NIGHTGLASS_CLUSTER_CERT", "NIGHTGLASS_CLUSTER_KEY")
 WAIT_S = "NIGHTGLASS_WORKERS_WAIT_S"  # how long to wait for the first worker
 MOST_JOBS = 16
+METHOD = "distributed.worker.multiprocessing-method"
 DEAF = "catalog_tools.engine.deaf"
 FORKS = sys.platform == "linux"  # elsewhere a process of many libraries may not be forked
 ANSWER_S = 10.0  # how long a scheduler may take to answer
@@ -79,20 +80,28 @@ def _interrupts_held() -> Iterator[None]:
 
 
 def _processes(count: int) -> LocalCluster:
-    """Processes of this machine, of one thread each."""
+    """Processes of this machine, of one thread each. BadInput where none can be started."""
     if FORKS:  # off one process, which imports once what this one has of the product
+        dask.config.set({METHOD: "forkserver"})
         ours = {name for name in sys.modules if name.split(".")[0] in ("pipeline", "catalog_tools")}
         get_mp_context().set_forkserver_preload([DEAF, "distributed.nanny", *sorted(ours)])
-    return LocalCluster(
-        n_workers=count,
-        threads_per_worker=1,
-        processes=True,
-        host="127.0.0.1",
-        dashboard_address=None,
-        silence_logs=50,
-        scheduler_sync_interval=60,
-        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # not 8787 of all networks
-    )
+    try:
+        return LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address=None,
+            silence_logs=50,
+            scheduler_sync_interval=60,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # not 8787 of all networks
+        )
+    except RuntimeError as error:
+        first: BaseException = error
+        while first.__cause__ or first.__context__:
+            first = first.__cause__ or first.__context__ or first
+        allowed = f"threads, where no processes can be started ({first})"
+        raise BadInput("--scheduler", "processes", allowed) from None
 
 
 def set_up_dask() -> None:
@@ -101,7 +110,7 @@ def set_up_dask() -> None:
         os.environ.setdefault(name, value)
     dask.config.set(
         {
-            "distributed.worker.multiprocessing-method": "forkserver" if FORKS else "spawn",
+            METHOD: "spawn",
             "distributed.scheduler.allowed-failures": 3,
             "distributed.worker.profile.enabled": False,
             # By default 1 to 1000 times a second, in every process: a tenth of a short job.

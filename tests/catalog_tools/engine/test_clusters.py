@@ -97,6 +97,27 @@ def test_processes_are_forked_off_one_that_has_the_code_and_do_not_hear_ctrl_c()
     assert parent != os.getpid()
 
 
+def test_why_processes_cannot_be_started_is_told(monkeypatch):
+    """As where /dev/shm cannot be written: what went wrong first, of all that followed."""
+
+    def refused(**_):
+        try:
+            try:
+                raise OSError(30, "Read-only file system")
+            except OSError:
+                raise AssertionError("Status.init") from None
+        except AssertionError as error:
+            raise RuntimeError("Nanny failed to start.") from error
+
+    monkeypatch.setattr(clusters, "LocalCluster", refused)
+    with pytest.raises(BadInput) as caught, open_scheduler("processes", 2):
+        pass
+    assert str(caught.value) == (
+        "--scheduler: 'processes' is not accepted; allowed: threads, where no processes can be "
+        "started ([Errno 30] Read-only file system)"
+    )
+
+
 def test_ctrl_c_while_processes_start_is_heard_once_they_can_be_closed(monkeypatch):
     """It hung for a minute, or ended in the library's tracebacks."""
     made, start = [], clusters._processes
