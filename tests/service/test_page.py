@@ -24,6 +24,12 @@ PAGE = Path(__file__).parents[2] / "service" / "page"
 KEEP = os.environ.get("NIGHTGLASS_SCREENSHOTS")  # a folder for the pictures of docs/
 
 
+def _width_px(tab: Any, selector: str) -> int:
+    """Width of the first such image, once it is loaded."""
+    image = "async image => { await image.decode(); return image.naturalWidth; }"
+    return int(tab.locator(selector).first.evaluate(image))
+
+
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
     path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))),
@@ -297,7 +303,7 @@ def test_a_study_is_opened_forecast_submitted_and_shown(
     cells = tab.locator("#study [data-group='LEO'] td").all_inner_texts()
     assert cells[1] == str(report["by_regime"]["LEO"]["objects"])
     assert [url for url in asked if job["id"] in url and ("frames" in url or "plan" in url)] == []
-    tab.wait_for_function("document.querySelector('#study img')?.naturalWidth > 500")
+    assert _width_px(tab, "#study img") > 500
     with tab.expect_download() as begun:
         tab.click("summary.button")
         tab.get_by_text("report with figures").click()
@@ -339,7 +345,7 @@ def test_a_sweep_is_submitted_from_its_text(
     assert "points" in tab.inner_text("#forecast")
     tab.click("#submit")
     tab.wait_for_selector("#sweep [data-metric='snr.sat-1']")
-    tab.wait_for_function("document.querySelector('#sweep img')?.naturalWidth > 0")
+    assert _width_px(tab, "#sweep img") > 0
     page.picture("page-sweep")
 
 

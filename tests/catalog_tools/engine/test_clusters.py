@@ -128,10 +128,14 @@ def test_ctrl_c_while_processes_start_is_heard_once_they_can_be_closed(monkeypat
         return made[0]
 
     monkeypatch.setattr(clusters, "_processes", interrupted)
-    with pytest.raises(KeyboardInterrupt), clusters.cluster("processes", 1, 1):
-        pytest.fail("the work has begun")
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), clusters.cluster("processes", 1, 1):
+            pytest.fail("the work has begun")
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert made[0].status == Status.closed
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_processes_listen_to_this_machine_alone():
@@ -477,6 +481,7 @@ def test_a_render_that_is_stopped_cancels_its_jobs(with_slurm, number, code):
         [sys.executable, "-m", "pipeline", "render", "scene.json", "-o", "product", "--slurm"],
         cwd=folder, env=os.environ | {"DASK_CONFIG": str(folder / "jobqueue.json")},
         stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # whatever ran the tests
     ) as render:  # fmt: skip
         until = time.monotonic() + 60
         while not (folder / "submitted").exists() and time.monotonic() < until:
