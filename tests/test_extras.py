@@ -98,6 +98,7 @@ def test_a_missing_package_reads_as_a_message(
     hidden, need, package, extra, instead, call, monkeypatch, tmp_path
 ):
     monkeypatch.setitem(sys.modules, hidden, None)
+    monkeypatch.delitem(sys.modules, "catalog_tools.engine.slurm_jobs", raising=False)
     with pytest.raises(Missing) as caught:
         call(tmp_path)
     remedy = f"pip install 'nightglass[{extra}]'" + (f", or {instead}" if instead else "")

@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import dask
-from dask_jobqueue.slurm import SLURMCluster, SLURMJob
+from dask_jobqueue import SLURMCluster
+from dask_jobqueue.slurm import SLURMJob
 from distributed import Adaptive, Client, Security
 from distributed.core import Status
 
