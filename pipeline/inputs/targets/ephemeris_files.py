@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
-from pipeline.inputs.targets.omm_files import read_text
+from pipeline.inputs.targets.omm_files import by_month, read_text
 from pipeline.physics.positions.times import parse_utc
 
 LARGEST_BYTES = 200_000_000
@@ -49,7 +49,7 @@ _PARTS = {  # of an OEM, by the line before them
     "META_STOP": "data",
     "COVARIANCE_STOP": "data",
 }
-_TIME = re.compile(r"(\d{4})-(?:(\d{3})|(\d{2})-(\d{2}))T(\d{2}):(\d{2})(?::(\d{2}(?:\.\d*)?))?Z?")
+_TIME = re.compile(r"(\d{4})-(\d{2})-(\d{2})T(\d{2}):(\d{2})(?::(\d{2}(?:\.\d*)?))?Z?")
 
 
 @dataclass(frozen=True)
@@ -149,16 +149,10 @@ def _calendar(texts: list[str], path: Path, field: str) -> Array:
     """Calendar rows (n, 6) of CCSDS times, 2019-04-20T03:00:00 or 2019-110T03:00:00."""
     out = np.empty((len(texts), 6))
     for i, text in enumerate(texts):
-        m = _TIME.fullmatch(text.strip())
+        m = _TIME.fullmatch(by_month(text.strip()))
         if m is None:
             raise BadInput(field, f"time {text[:40]} of {path.name}", "2019-04-20T03:00:00.000")
-        year, doy, month, day = (int(g) if g else 0 for g in m.groups()[:4])
-        # a day of the year is a day of January to ERFA only up to 31: count it out
-        if doy:
-            _, month, day, _, _ = (
-                int(x) for x in era.jd2cal(*era.cal2jd(year, 1, 1)[:2] + np.array([0.0, doy - 1.0]))
-            )
-        out[i] = year, month, day, int(m[5]), int(m[6]), float(m[7] or 0.0)
+        out[i] = [float(part or 0.0) for part in m.groups()]
     return out
 
 
@@ -239,16 +233,15 @@ def _oem(text: str, path: Path, field: str) -> dict[str, list[Ephemeris]]:
 def _oem_segment(
     meta: dict[str, str], rows: list[list[str]], key: str, path: Path, field: str
 ) -> Ephemeris:
-    ours = _frame_of(meta, path, field)
-    times = _calendar([r[0] for r in rows], path, field)
-    utc = _to_utc(times, meta.get("TIME_SYSTEM", "").upper(), path, field)
+    ours, scale = _frame_of(meta, path, field), meta.get("TIME_SYSTEM", "").upper()
+    utc = _to_utc(_calendar([r[0] for r in rows], path, field), scale, path, field)
     width = 6 if all(len(r) >= 7 for r in rows) else 3
     values = 1e3 * _numbers([r[1 : 1 + width] for r in rows], path, field)
     table = _table(key, ours, utc, values, (path, field))
     for i, name in enumerate(("USEABLE_START_TIME", "USEABLE_STOP_TIME")):
         if name in meta:
             edge = _calendar([meta[name]], path, field)
-            _narrow(table, i, _to_utc(edge, meta["TIME_SYSTEM"].upper(), path, field))
+            _narrow(table, i, _to_utc(edge, scale, path, field))
     return table
 
 

@@ -91,13 +91,13 @@ def mean_elements(fields: JsonObject, key: str, field: str) -> JsonObject:
         if value in (None, ""):
             raise BadInput(field, f"no {theirs} of {key}", f"an OMM with {theirs}")
         try:
-            out[ours] = _calendar(str(value).strip()) if ours == "epoch" else float(value)
+            out[ours] = by_month(str(value).strip()) if ours == "epoch" else float(value)
         except (TypeError, ValueError):
             raise BadInput(field, f"{theirs} = {value} of {key}", "a number") from None
     return out
 
 
-def _calendar(epoch: str) -> str:
+def by_month(epoch: str) -> str:
     """A CCSDS time with a day of the year (2019-110T03:00:00) as one with month and day."""
     found = re.fullmatch(r"(\d{4})-(\d{3})(T.*)", epoch, re.ASCII)
     if found is None:

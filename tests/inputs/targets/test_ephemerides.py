@@ -289,6 +289,16 @@ def test_each_segment_has_its_own_metadata(tmp_path: Path) -> None:
     assert [round((t - start).sec) for t in until] == [600, 5800]
 
 
+@pytest.mark.parametrize("day", ["366", "000"])
+def test_a_day_that_the_year_does_not_have(tmp_path: Path, day: str) -> None:
+    """Day 366 of 2017 was taken for its first."""
+    place, speed = two_body(np.array([7e6, 0, 0]), np.array([0, 6000.0, 5500.0]), np.arange(2.0))
+    path = tmp_path / "sat.oem"
+    path.write_text(oem("GCRF", place, speed, [f"2017-{day}T06:00:0{i}" for i in range(2)]))
+    with pytest.raises(BadInput, match=f"time 2017-{day}T06:00:00 of sat.oem"):
+        table({"kind": "ephemeris", "path": str(path)})
+
+
 def test_rows_beyond_the_useable_times_hold_the_polynomials(tmp_path: Path) -> None:
     """Useable from 5 s before the exposures, between two rows: to a micrometre of the orbit, which
     rows on one side alone do not give. Exposures beyond are refused, by the times that are told."""
