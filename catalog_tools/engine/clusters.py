@@ -75,8 +75,8 @@ def _interrupts_held() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-        for number in held[:1]:
-            signal.raise_signal(number)
+        if held:
+            signal.raise_signal(signal.SIGINT)
 
 
 def _processes(count: int) -> LocalCluster:
@@ -98,8 +98,8 @@ def _processes(count: int) -> LocalCluster:
         )
     except RuntimeError as error:
         first: BaseException = error
-        while first.__cause__ or first.__context__:
-            first = first.__cause__ or first.__context__ or first
+        while earlier := first.__cause__ or first.__context__:
+            first = earlier
         allowed = f"threads, where no processes can be started ({first})"
         raise BadInput("--scheduler", "processes", allowed) from None
 

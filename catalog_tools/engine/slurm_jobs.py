@@ -41,6 +41,7 @@ class Jobs(SLURMCluster):
     """A cluster that knows which of its jobs Slurm still has."""
 
     job_cls = SlurmJob
+    _numbers = itertools.count()
     looked_s = -LOOK_S
     lost = ""  # why the last job that is gone has ended
     in_queue = ""  # state and reason of the jobs that are there
@@ -48,8 +49,6 @@ class Jobs(SLURMCluster):
 
     def _new_worker_name(self, _: int) -> str:
         """A name that none had before: the scheduler may still know the worker of an ended job."""
-        if not hasattr(self, "_numbers"):
-            self._numbers = itertools.count()
         return f"{self._name}-{next(self._numbers)}"
 
     async def forget_ended(self) -> None:

@@ -130,20 +130,27 @@ def _sensor(scene: Scene, layer: str, frame: int) -> Cards:
         ("TRKMODE", dwell.pointing.mode, "what the sensor follows"),
     ]
     outputs, raw = _outputs(s), layer == "dn"
-    for key, name, unit in (
-        ("GAIN", "gain_e_per_dn", "[e-/adu]"),
-        ("RDNOISE", "read_noise_e", "[e-] rms"),
-        ("BIASLVL", "bias_dn", "[adu]"),
-        ("DARKCUR", "dark_e_per_s", "[e-/s] a pixel"),
-    ):
-        values = {one[name] for one in outputs}
-        cards.append((key, values.pop() if len(values) == 1 else "amplifiers", unit))
-    if not raw:  # GAIN is of the header's own data: photometry takes its photon noise from it
-        cards = [card for card in cards if card[0] not in ("GAIN", "BIASLVL")]
-        cards.append(("GAIN", 1.0, "[e-] a unit of this layer"))
+    cards += _terms(outputs, raw)
     level_dn = _saturation_dn(s, outputs) if raw else None
     if level_dn is not None:
         cards.append(("SATURATE", level_dn, "[adu] lowest level at which a pixel saturates"))
+    return cards
+
+
+def _terms(outputs: list[dict[str, float | str]], raw: bool) -> Cards:
+    """What all outputs of the sensor have in common, for `dn` (raw) or a layer in electrons."""
+    cards: Cards = []
+    for key, name, unit, of_raw in (
+        ("GAIN", "gain_e_per_dn", "[e-/adu]", True),
+        ("RDNOISE", "read_noise_e", "[e-] rms", False),
+        ("BIASLVL", "bias_dn", "[adu]", True),
+        ("DARKCUR", "dark_e_per_s", "[e-/s] a pixel", False),
+    ):
+        if raw or not of_raw:
+            values = {one[name] for one in outputs}
+            cards.append((key, values.pop() if len(values) == 1 else "amplifiers", unit))
+    if not raw:  # GAIN is of the header's own data: photometry takes its photon noise from it
+        cards.append(("GAIN", 1.0, "[e-] a unit of this layer"))
     return cards
 
 
