@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import resource
 import time
@@ -13,10 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from catalog_tools.documents import JsonObject
-from pipeline.arrays import FrameStars, concatenate
 from pipeline.execute.check import summary
 from pipeline.execute.coordinates import frame_coordinates
-from pipeline.execute.truth import star_truth, target_truth
 from pipeline.export.picture import write_preview
 from pipeline.inputs.sensor.detector import gather_faults
 from pipeline.lazily import arrow
@@ -24,56 +21,44 @@ from pipeline.plan.accuracy import doubts_of, for_sources, total_e, total_sigma
 from pipeline.plan.described import colour_facts
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.response.responses import ResponsePlan
 from pipeline.plan.response.sources import (
     TABLES,
     WINGS,
     SourceBounds,
-    of_stars,
-    of_targets,
-    stars_known,
-    targets_known,
 )
 from pipeline.plan.timing import longest_s
+from pipeline.route.truths import Truths
 from pipeline.spec.load import scene_yaml
 from pipeline.store import layout
 from pipeline.store.clock import UNITS
 from pipeline.store.cube import finish_cube
 from pipeline.store.markers import markers_present, read_marker
-from pipeline.store.product import Begun, Cell, cells_digest, cells_of, seal, truth_kinds
-from pipeline.store.truth import drop_parts, join_parts, write_whole
+from pipeline.store.product import Begun, Cell, cells_digest, cells_of, seal
+from pipeline.store.truth import drop_parts, write_whole
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import pyarrow as pa
 
 WINDOW = 256
 SAME = 1e-3  # of the noise of an empty pixel, up to which frames share one number
 DTYPES = {"wcs_sip_order": np.int16, "dwell": np.int32}  # else float64, or int64
 LIBRARIES = ("numpy", "numba", "scipy", "astropy", "pyerfa", "sgp4", "dask", "zarr", "pyarrow")
-SOURCES = ("stars", "targets")  # tables of truth whose light is drawn as such
-COLUMNS = ("frame", "x_px", "y_px", "electrons")
-COLUMNS_OF_TARGETS = (
-    "x_start_px", "y_start_px", "x_end_px", "y_end_px", "radius_px", "extended"
-)  # fmt: skip
-COVERAGE_KEY = "nightglass:coverage"  # in the schema's metadata of truth/stars.parquet
 Coordinates = dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]
 
 
-def finish(plan: Plan, catalogues: list[JsonObject], begun: Begun, times: JsonObject) -> JsonObject:
+def finish(
+    plan: Plan, catalogues: list[JsonObject], begun: Begun, truths: Truths, times: JsonObject
+) -> JsonObject:
     """Turn finished tiles into a complete product; returns the report.
 
     catalogues : name, digest and what else the report tells of each, the main one first
     """
     product, started = begun.path, time.perf_counter()
-    rows = {
-        kind: join_parts(product, kind, plan.frames, _empty(plan, kind))
-        for kind in truth_kinds(plan)
-    }
+    rows, drawn = truths.end()
     rows |= _faults(plan, product)
     gathered = gather_markers(plan, product)
-    errors = _errors(plan, begun, gathered.checks)
+    errors = _errors(plan, drawn, gathered.checks)
     doubts = _doubts(plan, errors)
     plan = replace(plan, warnings=(*doubts, *plan.warnings))
     finish_cube(product, gathered.coordinates, _attributes(plan, catalogues))
@@ -235,9 +220,9 @@ def _report(
     }
 
 
-def _errors(plan: Plan, begun: Begun, checks: list[JsonObject]) -> JsonObject:
+def _errors(plan: Plan, drawn: SourceBounds, checks: list[JsonObject]) -> JsonObject:
     """What the product may err by, for the sources that were drawn, and what was found."""
-    drawn, floor_e = _drawn(plan, begun), plan.facts.sigma_floor_e
+    floor_e = plan.facts.sigma_floor_e
     brighter = drawn.brightest_e / (plan.brightest_e or math.inf)
     decisions = for_sources(plan.decisions, drawn.errors_e, floor_e, brighter)
     over_e = max(0.0, drawn.errors_e.get(TABLES, 0.0) - plan.responses.budget_e)
@@ -271,61 +256,7 @@ def _doubts(plan: Plan, errors: JsonObject) -> list[str]:
     )
 
 
-def _drawn(plan: Plan, begun: Begun) -> SourceBounds:
-    """What drawing errs by at most, for all sources that were drawn: some frames after the other.
-
-    Truth has what pixels collect of a source, bounds are of the light that falls.
-    """
-    r, fill = plan.responses, plan.responses.blur.fill_factor
-    found = {kind: SourceBounds() for kind in SOURCES}
-    for kind in (k for k in truth_kinds(plan) if k in SOURCES):
-        file = arrow().parquet.ParquetFile(begun.path / layout.TRUTH / f"{kind}.parquet")
-        for group in range(file.num_row_groups):
-            names = COLUMNS if kind == "stars" else (*COLUMNS, *COLUMNS_OF_TARGETS)
-            rows = file.read_row_group(group, columns=names)
-            c = {name: rows[name].to_numpy() for name in names}
-            c["electrons"] = c["electrons"] / fill
-            one = _of_stars(r, c) if kind == "stars" else _of_targets(plan, c)
-            found[kind] = found[kind].worst(one)
-    return found["stars"].together(found["targets"])
-
-
-def _of_stars(r: ResponsePlan, c: dict[str, np.ndarray]) -> SourceBounds:
-    return of_stars(r, stars_known(r, c["frame"], c["x_px"], c["y_px"], c["electrons"]))
-
-
-def _of_targets(plan: Plan, c: dict[str, np.ndarray]) -> SourceBounds:
-    """Of the targets whose light reaches the frame; truth has the others, too."""
-    r, (rows, columns) = plan.responses, plan.scene.sensor.shape
-    ends = np.array([c[f"{axis}_{end}_px"] for end in ("start", "end") for axis in "xy"])
-    size = np.nan_to_num(c["radius_px"])
-    beyond = plan.halo_px + r.reach_core_px + size
-    with np.errstate(invalid="ignore"):
-        (x0, x1), (y0, y1) = (np.sort(ends[i::2], axis=0) for i in (0, 1))
-        near = (x1 > -beyond) & (x0 < columns + beyond) & (y1 > -beyond) & (y0 < rows + beyond)
-    near &= c["electrons"] > 0.0
-    light_e, size, extended = (v[near] for v in (c["electrons"], size, c["extended"]))
-    known = c["frame"][near], ends[:, near], light_e, size, extended
-    return of_targets(r, targets_known(r, (rows, columns), *known))
-
-
 def _achieved(checks: list[JsonObject]) -> JsonObject:
     """What the reference path found in the cells that were drawn again."""
     records = sorted(checks, key=lambda c: (c["frame"], c["y0"], c["x0"]))
     return summary(records) | {"checked": records}
-
-
-def _empty(plan: Plan, kind: str) -> pa.Table:
-    """A truth table without rows, for its schema."""
-    pa = arrow()
-    if kind == "cosmic_rays":
-        from pipeline.physics.cosmic_rays.frame import no_truth
-
-        return pa.table(no_truth())
-    g = plan_geometry(plan.scene, np.zeros(1, np.int64), plan.dut1_s)
-    if kind == "targets":
-        return pa.table(target_truth(plan, g)).slice(0, 0)
-    stars = pa.table(star_truth(plan, g, concatenate([], FrameStars)))
-    if plan.coverage is None:
-        return stars
-    return stars.replace_schema_metadata({COVERAGE_KEY: json.dumps(plan.coverage.as_dict())})

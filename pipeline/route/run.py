@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,6 +29,7 @@ from pipeline.route.prepare import (
     summary_of,
 )
 from pipeline.route.shares import WHOLE, Share, lacking
+from pipeline.route.truths import Truths, truths_of
 from pipeline.spec.load import load_scene
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
@@ -104,15 +105,17 @@ def render(
                     return writing.report()
                 writing.unseal()
                 writing.put_plan(layout.to_json(summary))
-                heard = partial(_heard, writing, listen)
                 begun = Progress(len(writing.begun.done), mine.tiles(prepared.plan), "wait")
-                with _explained(place, writing, share), drawing:
-                    scheduler = early or drawing.enter_context(_awaited(options, begun, heard))
-                    draw(prepared, writing.begun, scheduler, heard, mine)
-                times["draw_s"] = time.perf_counter() - started - times["plan_s"]
-                times |= {"workers": scheduler.workers, "scheduler": options.scheduler}
-                if share is None:
-                    return _finished(prepared, writing, times)
+                with truths_of(prepared.plan, writing.begun.path) as truths:
+                    with _explained(place, writing, share), drawing:
+                        look = drawing.enter_context(_joining(truths, share))
+                        heard = partial(_heard, writing, look, listen)
+                        scheduler = early or drawing.enter_context(_awaited(options, begun, heard))
+                        draw(prepared, writing.begun, scheduler, heard, mine)
+                    times["draw_s"] = time.perf_counter() - started - times["plan_s"]
+                    times |= {"workers": scheduler.workers, "scheduler": options.scheduler}
+                    if share is None:
+                        return _finished(prepared, writing, truths, times)
         return _joined_by_the_last(place, prepared, share, times)
 
 
@@ -181,9 +184,20 @@ def _opened(options: Options, place: Place, share: Share | None, stack: ExitStac
         raise _how_to_go_on(error, _is_kept(place, share), share is None) from None
 
 
-def _heard(writing: Writing, listen: Listener | None, progress: Progress) -> None:
-    """The place is still ours, and whoever listens hears of the progress."""
+def _joining(truths: Truths, share: Share | None) -> AbstractContextManager[Callable[[], None]]:
+    """The truth of a whole render is joined meanwhile; that of parts by the last of them."""
+    return truths.meanwhile() if share is None else nullcontext(lambda: None)
+
+
+def _heard(
+    writing: Writing,
+    look: Callable[[], None],
+    listen: Listener | None,
+    progress: Progress,
+) -> None:
+    """The place is still ours, what is there is joined, and whoever listens hears of it."""
     writing.check()
+    look()
     if listen is not None:
         listen(progress)
 
@@ -214,9 +228,12 @@ def _how_to_go_on(error: NightglassError, kept: bool, whole: bool) -> Nightglass
     return TryLater(f"{error}; {told}")
 
 
-def _finished(prepared: Prepared, writing: Writing, times: JsonObject) -> JsonObject:
+def _finished(
+    prepared: Prepared, writing: Writing, truths: Truths, times: JsonObject
+) -> JsonObject:
+    facts = catalogue_facts_of(prepared)
     with writing.finishing():
-        return finish(prepared.plan, catalogue_facts_of(prepared), writing.begun, times)
+        return finish(prepared.plan, facts, writing.begun, truths, times)
 
 
 def _joined_by_the_last(
@@ -247,4 +264,5 @@ def _joined(place: Place, prepared: Prepared, times: JsonObject, wait_s: float =
             told = lacks.told(place.name, plan, writing.locks(), begun.redrawn)
             raise Incomplete(told)
         writing.unseal()
-        return _finished(prepared, writing, times)
+        with truths_of(plan, begun.path) as truths:
+            return _finished(prepared, writing, truths, times)

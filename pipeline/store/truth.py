@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,34 +66,60 @@ def _checksum(content: bytes) -> bytes:
     return google_crc32c.value(content).to_bytes(CHECKSUM, "little")
 
 
-def join_parts(product: Path, kind: str, frames: int, empty: pa.Table) -> int:
-    """Join the frames' parts into truth/KIND.parquet; returns the rows.
+class TruthTable:
+    """truth/KIND.parquet, joined frame by frame as the parts of the frames come.
 
-    Frames share a row group as long as it has no more than ROWS.
+    Frames share a row group as long as it has no more than ROWS. The file takes its name when
+    `files` is closed; where that ends with an error, nothing stays of it.
     """
-    pa = arrow()
-    target = product / TRUTH / f"{kind}.parquet"
-    rows, held, group = 0, 0, [empty]
-    schema = empty.schema
-    with (
-        whole_file(target) as own,
-        pa.parquet.ParquetWriter(own, schema, **_options(schema)) as writer,
-    ):
-        for frame in range(frames):
-            content = part_path(product, kind, frame).read_bytes()
+
+    def __init__(
+        self, product: Path, kind: str, frames: int, empty: pa.Table, files: ExitStack
+    ) -> None:
+        """empty : a table without rows, for the schema"""
+        self.rows = 0
+        self._parts = (part_path(product, kind, frame) for frame in range(frames))
+        self._next = next(self._parts, None)
+        self._held, self._group = 0, [empty]
+        target = product / TRUTH / f"{kind}.parquet"
+        for left in target.parent.glob(f".{target.name}.*.tmp"):  # of a writer that was killed
+            left.unlink(missing_ok=True)
+        own, schema = files.enter_context(whole_file(target)), empty.schema
+        self._writer = files.enter_context(
+            arrow().parquet.ParquetWriter(own, schema, **_options(schema))
+        )
+
+    def take(self, hear: Callable[[pa.Table], None]) -> None:
+        """Take the parts of the next frames, as far as they are there.
+
+        hear : is given each row group that is written
+        """
+        while self._next is not None and self._next.is_file():
+            content = self._next.read_bytes()
             if not is_whole(content):
-                raise Damaged(str(part_path(product, kind, frame)), "not what was written")
-            table = pa.ipc.open_stream(content).read_all()
-            if held + table.num_rows > ROWS and held:
-                writer.write_table(pa.concat_tables(group).combine_chunks())
-                held, group = 0, []
-            group.append(table)
-            if len(group) == TOGETHER:  # many small tables take far more than their rows
-                group = [pa.concat_tables(group).combine_chunks()]
-            held += table.num_rows
-            rows += table.num_rows
-        writer.write_table(pa.concat_tables(group).combine_chunks())
-    return rows
+                return
+            table = arrow().ipc.open_stream(content).read_all()
+            if self._held and self._held + table.num_rows > ROWS:
+                hear(self._written())
+            self._group.append(table)
+            if len(self._group) == TOGETHER:  # many small tables take far more than their rows
+                self._group = [arrow().concat_tables(self._group).combine_chunks()]
+            self._held += table.num_rows
+            self._next = next(self._parts, None)
+
+    def end(self, hear: Callable[[pa.Table], None]) -> None:
+        """Take what is left. Raises Damaged where a part is lacking or is not what was written."""
+        self.take(hear)
+        if self._next is not None:
+            raise Damaged(str(self._next), "not what was written")
+        hear(self._written())
+
+    def _written(self) -> pa.Table:
+        group = arrow().concat_tables(self._group).combine_chunks()
+        self._writer.write_table(group)
+        self.rows += group.num_rows
+        self._held, self._group = 0, []
+        return group
 
 
 def drop_parts(product: Path) -> None:

@@ -8,6 +8,7 @@ import errno
 import json
 import os
 import shutil
+from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
@@ -18,14 +19,14 @@ import xarray as xr
 import zarr
 
 from pipeline.calibrate import calibrate
-from pipeline.errors import BadInput, Damaged, Incomplete, TryLater
+from pipeline.errors import BadInput, Damaged, DiskFull, Incomplete, TryLater
 from pipeline.route.run import Options, render
 from pipeline.route.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube, read_layer
 from pipeline.store.markers import markers_present, read_marker
 from pipeline.store.product import cells_digest, cells_of, check, content_digest
-from pipeline.store.truth import join_parts, part_path, write_part
+from pipeline.store.truth import TruthTable, part_path, write_part
 
 SCENE = {
     "schema": "nightglass/scene/1",
@@ -264,24 +265,67 @@ def test_one_chunking_along_frames(made, tmp_path):
 
 
 def test_truth_of_frames_is_joined_row_by_row(tmp_path, monkeypatch):
-    """In order, each row once, in row groups of as many as may be; a part cut off is named."""
+    """In order, each row once, in row groups of as many as may be, whatever comes when; a part cut
+    off is named, and of what ends with an error nothing stays."""
     monkeypatch.setattr("pipeline.store.truth.ROWS", 5)
     monkeypatch.setattr("pipeline.store.truth.TOGETHER", 2)
     counts = [0, 3, 2, 4, 1, 0, 7, 1, 1, 1, 0, 1, 2]  # the seventh alone is more than a group takes
-    (tmp_path / "truth" / ".parts").mkdir(parents=True)
+    folder = tmp_path / "truth"
+    (folder / ".parts").mkdir(parents=True)
+    (folder / ".stars.parquet.0123.tmp").touch()  # of a writer that was killed
     ends = np.cumsum(counts)
-    for frame, (end, count) in enumerate(zip(ends, counts, strict=True)):
-        table = pa.table({"row": np.arange(end - count, end), "frame": np.full(count, frame)})
-        write_part(tmp_path, "stars", frame, table)
-    empty = table.slice(0, 0)
-    assert join_parts(tmp_path, "stars", len(counts), empty) == ends[-1]
-    file = pq.ParquetFile(tmp_path / "truth" / "stars.parquet")
+    tables = [
+        pa.table({"row": np.arange(end - count, end), "frame": np.full(count, frame)})
+        for frame, (end, count) in enumerate(zip(ends, counts, strict=True))
+    ]
+    heard: list[int] = []
+    with ExitStack() as files:
+        joined = TruthTable(tmp_path, "stars", len(counts), tables[0].slice(0, 0), files)
+        for frame in (1, 3, 0, 2, 12, 5, 4, 6, 7, 8, 9, 11, 10):
+            write_part(tmp_path, "stars", frame, tables[frame])
+            joined.take(lambda group: heard.append(group.num_rows))
+        joined.end(lambda group: heard.append(group.num_rows))
+    assert joined.rows == ends[-1]
+    file = pq.ParquetFile(folder / "stars.parquet")
     found = file.read()
     assert found["row"].to_pylist() == list(range(ends[-1]))
     assert found["frame"].to_pylist() == np.repeat(np.arange(len(counts)), counts).tolist()
     groups = [file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups)]
-    assert [n for n in groups if n] == [5, 5, 7, 4, 2]
+    assert heard == groups == [5, 5, 7, 4, 2]
     part = part_path(tmp_path, "stars", 3)
     part.write_bytes(part.read_bytes()[:-1])
-    with pytest.raises(Damaged, match="stars-000003"):
-        join_parts(tmp_path, "stars", len(counts), empty)
+    files = ExitStack()
+    again = TruthTable(tmp_path, "stars", len(counts), tables[0].slice(0, 0), files)
+    with pytest.raises(Damaged, match="stars-000003"), files:
+        again.end(lambda _: None)
+    assert [path.name for path in folder.glob("*.parquet")] == ["stars.parquet"]
+    assert not list(folder.glob(".*.tmp")), "nothing of what was given up"
+
+
+def test_truth_is_joined_while_frames_are_drawn(tmp_path, monkeypatch, made):
+    """Of three frames some are in the table by the time that the last is drawn; a disk that is full
+    for the table ends in one line, and a render that goes on then makes the same product."""
+    monkeypatch.setattr("pipeline.store.truth.ROWS", 0)
+    rows, end, take = [], TruthTable.end, TruthTable.take
+
+    def ended(self, hear):
+        rows.append(self.rows)
+        end(self, hear)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(TruthTable, "end", ended)
+        render(scene(exposure={"frames": 3}), tmp_path / "three")
+    assert rows[0] > 0
+
+    def full(self, hear):
+        take(self, hear)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(TruthTable, "take", full)
+        with pytest.raises(DiskFull):
+            render(scene(), tmp_path / "two")
+    assert not list((tmp_path / "two" / "truth").glob("*.parquet"))
+    assert not list((tmp_path / "two" / "truth").glob(".*.tmp"))
+    render(scene(), tmp_path / "two", Options(resume=True))
+    assert content_digest(tmp_path / "two") == content_digest(made)

@@ -36,9 +36,9 @@ from pipeline.plan.response.sources import (
     targets_known,
 )
 from pipeline.plan.response.streaks import POINTS, SHOWN, SLACK, StreakPlan, _light_from
-from pipeline.route.finish import _of_targets
 from pipeline.route.prepare import prepare
 from pipeline.route.run import render
+from pipeline.route.truths import _of_targets
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Scene
 from pipeline.studies.scenes.scenes import MAKERS, with_accuracy
