@@ -85,15 +85,8 @@ class Truths:
             table.take(partial(self._hear, kind))
 
     def _hear(self, kind: str, rows: pa.Table) -> None:
-        """Truth has what pixels collect of a source, bounds are of the light that falls."""
-        if kind not in SOURCES:
-            return
-        plan = self._plan
-        names = COLUMNS if kind == "stars" else (*COLUMNS, *COLUMNS_OF_TARGETS)
-        c = {name: rows[name].to_numpy() for name in names}
-        c["electrons"] = c["electrons"] / plan.responses.blur.fill_factor
-        one = _of_stars(plan.responses, c) if kind == "stars" else _of_targets(plan, c)
-        self._found[kind] = self._found[kind].worst(one)
+        if kind in SOURCES:
+            self._found[kind] = self._found[kind].worst(_bounds(self._plan, kind, rows))
 
 
 @contextmanager
@@ -101,6 +94,17 @@ def truths_of(plan: Plan, product: Path) -> Iterator[Truths]:
     """The truth tables of a product; where the block ends with an error, nothing stays of them."""
     with ExitStack() as files:
         yield Truths(plan, product, files)
+
+
+def _bounds(plan: Plan, kind: str, rows: pa.Table) -> SourceBounds:
+    """What drawing the sources of some frames errs by at most.
+
+    Truth has what pixels collect of a source, bounds are of the light that falls.
+    """
+    names = COLUMNS if kind == "stars" else (*COLUMNS, *COLUMNS_OF_TARGETS)
+    c = {name: rows[name].to_numpy() for name in names}
+    c["electrons"] = c["electrons"] / plan.responses.blur.fill_factor
+    return _of_stars(plan.responses, c) if kind == "stars" else _of_targets(plan, c)
 
 
 def _of_stars(r: ResponsePlan, c: dict[str, np.ndarray]) -> SourceBounds:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from scipy.special import erf
 
@@ -16,11 +16,10 @@ from pipeline.physics.drawing.quadrature import draw_quadrature
 from pipeline.physics.motion.streak import POINT
 from pipeline.physics.psf.pupil import Blur, Gaussian
 from pipeline.plan.accuracy import crowd_error_e
-from pipeline.route.finish import _drawn
 from pipeline.route.prepare import prepare
 from pipeline.route.run import render
+from pipeline.route.truths import _bounds
 from pipeline.spec.load import parse_scene
-from pipeline.store.product import Begun
 
 PIXEL_DEG = np.degrees(1e-5)
 
@@ -131,17 +130,11 @@ def test_one_bright_star_of_a_streaked_frame_is_as_stated(
 
 def test_a_crowd_errs_by_the_light_that_falls(tmp_path: Path) -> None:
     """Truth holds what a sensor collects; at a fill factor of a half twice as much falls on it."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     rng = np.random.default_rng(8)
     x_px, y_px = rng.uniform(30.0, 34.0, (2, 50))
-    (tmp_path / "truth").mkdir()
     light_e = np.full(50, 300.0)
-    table = {"frame": np.zeros(50, int), "x_px": x_px, "y_px": y_px, "electrons": light_e}
-    pq.write_table(pa.table(table), tmp_path / "truth" / "stars.parquet")
-    begun = cast(Begun, SimpleNamespace(path=tmp_path))
-
+    columns = {"frame": np.zeros(50, int), "x_px": x_px, "y_px": y_px, "electrons": light_e}
+    table = pa.table(columns)
     plan = prepare(parse_scene(scene(tmp_path, 200.0, 16.0, {"kind": "airy"}))).plan
     r = plan.responses
 
@@ -149,7 +142,7 @@ def test_a_crowd_errs_by_the_light_that_falls(tmp_path: Path) -> None:
         one = replace(r.classes[0], brightest_e=limit_e, wing_error=1e-3)
         blur = replace(r.blur, fill_factor=fill)
         changed = replace(plan, responses=replace(r, classes=(one,), blur=blur))
-        return _drawn(changed, begun).errors_e["wings_on_a_coarse_grid"]
+        return _bounds(changed, "stars", table).errors_e["wings_on_a_coarse_grid"]
 
     assert errs_e(1.0, 1e9) == pytest.approx(crowd_error_e(
         np.zeros(50), x_px, y_px, np.full(50, 0.3), *r.crowd_sides_px
