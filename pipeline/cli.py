@@ -65,14 +65,19 @@ def _explain(error: BaseException) -> int:
         said, code = (full, 3) if error.errno in NO_ROOM else (error.strerror, 1)
         _say(f"{error.filename or 'a file'}: {said}")
         return code
-    if isinstance(error, NightglassError):
-        _say(str(error))
+    if isinstance(error, NightglassError | MemoryError):
+        _say(str(error) if isinstance(error, NightglassError) else _no_memory(error))
         return exit_code(error)
     if os.environ.get("NIGHTGLASS_DEBUG"):
         raise error
     name = type(error).__name__
     _say(f"internal fault: {name}: {error}\n(this is a bug; NIGHTGLASS_DEBUG=1 shows where)")
     return 1
+
+
+def _no_memory(error: MemoryError) -> str:
+    asked = f" ({error})" if str(error) else ""
+    return f"no memory is left{asked}: fewer --workers, or smaller tiles, need less"
 
 
 def _say(message: str) -> None:

@@ -207,7 +207,7 @@ def _explained(place: Place, writing: Writing, share: Share | None) -> Iterator[
     """Of an error that ends the drawing: what it leaves behind, and how to go on."""
     try:
         yield
-    except NightglassError as error:
+    except (NightglassError, MemoryError) as error:
         kept = _is_kept(place, share)
         if not kept:
             writing.discard()  # nothing was finished, so nothing is left behind
@@ -219,7 +219,7 @@ def _is_kept(place: Place, share: Share | None) -> bool:
     return share is not None or place.tiles() > 0
 
 
-def _how_to_go_on(error: NightglassError, kept: bool, whole: bool) -> NightglassError:
+def _how_to_go_on(error: Exception, kept: bool, whole: bool) -> Exception:
     """An error that ended the drawing; where it says to try later, also by which command."""
     if not isinstance(error, TryLater):
         return error

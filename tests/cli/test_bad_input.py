@@ -318,3 +318,15 @@ def test_a_full_disk_ends_with_its_own_exit_code(errno, capsys):
     """Whatever there is no room for: the disk, a quota, a file of that size."""
     assert explain(OSError(errno, "no room", "out.zarr")) == 3
     assert capsys.readouterr().err.startswith("nightglass: out.zarr: the disk is full (")
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"), [("32 MiB", "no memory is left (32 MiB): "), ("", "no memory is left: ")]
+)
+def test_where_memory_ends_it_says_what_needs_less(asked, told, capsys):
+    """As where `ulimit -v` of a cluster holds: no fault of the program."""
+    assert explain(MemoryError(asked)) == 3
+    said = capsys.readouterr().err
+    assert said.startswith(f"nightglass: {told}")
+    assert "--workers" in said
+    assert said.count("\n") == 1

@@ -10,6 +10,7 @@ import os
 import shutil
 from contextlib import ExitStack
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pyarrow as pa
@@ -329,3 +330,13 @@ def test_truth_is_joined_while_frames_are_drawn(tmp_path, monkeypatch, made):
     assert not list((tmp_path / "two" / "truth").glob(".*.tmp"))
     render(scene(), tmp_path / "two", Options(resume=True))
     assert content_digest(tmp_path / "two") == content_digest(made)
+
+
+def test_nothing_stays_where_memory_ends_before_a_tile(tmp_path, monkeypatch):
+    """As after any other error before the first tile: the same command can be tried again."""
+    with monkeypatch.context() as patch:
+        patch.setattr("pipeline.execute.graph.render_tile", Mock(side_effect=MemoryError("32 MiB")))
+        with pytest.raises(MemoryError, match="32 MiB"):
+            render(scene(), tmp_path / "run", Options("synchronous"))
+    assert not (tmp_path / "run").exists()
+    render(scene(), tmp_path / "run")
