@@ -58,6 +58,8 @@ def read_row_groups(
     try:
         file = pq.ParquetFile(pa.BufferReader(pa.py_buffer(data)), pre_buffer=False)
         table = file.read(use_threads=threads)
+    except MemoryError:
+        raise  # of Arrow, too: no damage
     except (pa.ArrowException, OSError) as error:
         raise Damaged(_where(store, leaves), f"cannot be read ({error})") from None
     if table.num_rows != rows:

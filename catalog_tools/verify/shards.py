@@ -120,6 +120,8 @@ def _decode(data: Bytes, metadata: pq.FileMetaData, leaf: Leaf, group: RowGroup)
         if not file.schema_arrow.equals(STORED):
             raise Damaged(leaf.path, "its columns are not those of a catalogue")
         table = file.read_row_group(group.row_group, use_threads=False)
+    except MemoryError:
+        raise  # of Arrow, too: no damage
     except (pa.ArrowException, OSError) as error:
         raise Damaged(leaf.path, f"{what} cannot be read ({error})") from None
     if table.num_rows != group.rows:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pyarrow as pa
@@ -15,6 +16,7 @@ from catalog_tools.columns import ENCODINGS, STORED
 from catalog_tools.errors import Damaged
 from catalog_tools.query.parquet_footer import footer
 from catalog_tools.query.reading import read_row_groups
+from catalog_tools.verify.verify import verify
 
 
 @settings(deadline=None, max_examples=40)
@@ -70,6 +72,17 @@ def test_only_the_columns_read_are_proved(catalogue, tmp_path):
         with pytest.raises(Damaged, match=f"row group {group.row_group} does not match") as caught:
             read_row_groups(Changed(), [leaf], [name])
         assert leaf.path in str(caught.value)
+
+
+def test_too_little_memory_is_no_damage(catalogue, monkeypatch):
+    """Of bytes that are proved nothing else is said than what there is."""
+    full = Mock(side_effect=pa.ArrowMemoryError("malloc of size 64 failed"))
+    monkeypatch.setattr("catalog_tools.query.reading.pq.ParquetFile", full)
+    monkeypatch.setattr("catalog_tools.verify.shards.pq.ParquetFile", full)
+    with pytest.raises(MemoryError):
+        read_row_groups(catalogue.store, catalogue.leaves[:1], STORED.names)
+    with pytest.raises(MemoryError):
+        verify(catalogue)
 
 
 @pytest.mark.parametrize("rows", [0, 1, 63, 64, 8191, 8192, 1 << 31, 1 << 40])
