@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,6 +10,17 @@ import pytest
 from hypothesis import settings
 
 from tests.pins import refusals
+
+# What the caller has set for the product is not for its tests: they empty job tables. What is left
+# says how to test.
+OF_TESTS = (
+    "NIGHTGLASS_CACHE",
+    "NIGHTGLASS_PINS",
+    "NIGHTGLASS_SATSIM_PYTHON",
+    "NIGHTGLASS_SCREENSHOTS",
+)
+for name in {name for name in os.environ if name.startswith("NIGHTGLASS_")}.difference(OF_TESTS):
+    del os.environ[name]
 
 # The first call of a function compiles it: no deadline. The same examples in every run, so that a
 # change is judged by its own tests; `make test-slow` looks for new ones.
