@@ -20,6 +20,7 @@ from service.app import create_app
 from service.http.wire import bounded
 from service.settings import Settings, read_settings, unknown_variables
 from service.store.database import connect
+from service.store.homes import check_home
 
 LISTEN = 2048
 STOP_S = 3  # how long answers in flight may take to end
@@ -41,7 +42,7 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
         for name in unknown_variables():
             log.warning("%s in the environment is no setting: it changes nothing", name)
         settings.make_folders()
-        connect(settings.database_url).dispose()  # what is wrong with it is said before all else
+        _check_table(settings)
         app = create_app(settings)
         config = uvicorn.Config(
             app,
@@ -64,6 +65,16 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
         gc.freeze()  # what is there now stays: collections need not look at it again
         few_collections()
         uvicorn.Server(config).run(sockets=[listener])
+
+
+def _check_table(settings: Settings) -> None:
+    """What is wrong with the job table is said before all else."""
+    engine = connect(settings.database_url)
+    try:
+        if settings.database:
+            check_home(engine, settings.home)
+    finally:
+        engine.dispose()
 
 
 def _guarded(settings: object) -> bool:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import base64
-import contextlib
 import hashlib
 import hmac
 import json
-import os
 import re
 import time
 from pathlib import Path
@@ -16,6 +14,7 @@ from starlette.requests import Request
 
 from service.accounts.auth import Caller
 from service.problems import NotAllowed, Unauthenticated
+from service.store.homes import made_once
 
 LASTS_S = 60.0  # until a download must have begun
 PLACE = re.compile(r"/v1/jobs/[\x21-\x7e]{1,2000}")
@@ -26,7 +25,7 @@ class Tickets:
     """Made and checked by every process that serves a data folder, by a secret that lies there."""
 
     def __init__(self, home: Path) -> None:
-        self._secret = _secret(home / "tickets.key")
+        self._secret = made_once(home / "tickets.key")
 
     def make(self, caller: Caller, place: str) -> str:
         """The address of something of a job, good for its caller's GET of just that."""
@@ -51,15 +50,3 @@ class Tickets:
 
     def _seal(self, text: str) -> str:
         return hmac.new(self._secret, text.encode(), hashlib.sha256).hexdigest()
-
-
-def _secret(path: Path) -> bytes:
-    """32 random bytes, made by whoever comes first."""
-    if not path.exists():
-        part = path.with_name(f".{path.name}-{os.getpid()}-{os.urandom(4).hex()}")
-        with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-            file.write(os.urandom(32))
-        with contextlib.suppress(FileExistsError):
-            path.hardlink_to(part)
-        part.unlink()
-    return path.read_bytes()

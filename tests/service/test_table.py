@@ -17,7 +17,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from pipeline.errors import TryLater
+from pipeline.errors import BadInput, TryLater
 from service.accounts.auth import Caller
 from service.app import _of_table
 from service.jobs.jobs import FINAL, NEXT, Job, Phase, Queue
@@ -28,6 +28,7 @@ from service.routes.jobs import _events
 from service.scenes.uploads import Uploads
 from service.settings import Settings
 from service.store.database import LOCK_NUMBER, SILENCE, connect
+from service.store.homes import FILE, check_home
 from service.store.leases import give_up, take
 from service.store.tables import audit, jobs, uploads
 
@@ -51,6 +52,25 @@ def test_a_batch_is_one_commit_and_each_key_one_job(database: str) -> None:
     assert isinstance(other, KeyReused)
     assert blue[1]
     store.close()
+
+
+def test_a_table_is_that_of_one_data_folder(database: str, tmp_path: Path) -> None:
+    """The jobs of another folder have their files there: they would be run without them."""
+    one, other = tmp_path / "one", tmp_path / "other"
+    one.mkdir()
+    other.mkdir()
+    engine = connect(database)
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(lambda _: check_home(engine, one), range(4))) == [None] * 4
+    with pytest.raises(BadInput, match=r"NIGHTGLASS_DATABASE.*another data folder"):
+        check_home(engine, other)
+    (other / FILE).write_bytes((one / FILE).read_bytes())  # moved there
+    check_home(engine, other)
+    store = Queue(database)
+    [(job, made)] = submit_many(store, [ask()], TeamLimits())
+    assert (job.number, made) == (1, True)
+    store.close()
+    engine.dispose()
 
 
 def test_many_processes_worth_of_writers(database: str) -> None:
