@@ -64,7 +64,7 @@ def observe(
         return
     _print(observed)
     if output is not None:
-        print(f"{output}: {'what is seen' if output.suffix == '.tdm' else 'all rows'}")
+        print(f"{output}: {'what is seen' if output.suffix.lower() == '.tdm' else 'all rows'}")
 
 
 def _print(observed: Observed) -> None:

@@ -57,6 +57,18 @@ def test_files_hold_the_same_rows(scene: Path, tmp_path: Path) -> None:
     assert printed == from_json
 
 
+def test_endings_in_capitals_are_the_same_forms(scene: Path, tmp_path: Path) -> None:
+    for name, held, said in (
+        ("A.CSV", '"frame"', "all rows"),
+        ("B.Json", "{", "all rows"),
+        ("C.TDM", "CCSDS_TDM", "what is seen"),
+    ):
+        result = nightglass("observe", scene, "--snr", "1", "-o", tmp_path / name)
+        assert result.returncode == 0, result.stderr
+        assert f"{name}: {said}" in result.stdout
+        assert (tmp_path / name).read_text().startswith(held)
+
+
 def tdm(path: Path) -> list[tuple[dict[str, str], list[tuple[str, str, float]]]]:
     """The segments of a message: metadata, and (keyword, time, value) of its data."""
     segments: list[Any] = []
