@@ -73,5 +73,5 @@ def _all_sources(
     """All stars and all targets of a scene; None where not all are known."""
     none = known_of_frames(())
     of_stars = none if scene.stars is None else (stars.sources if stars else None)
-    of_targets = targets if scene.targets or scene.populations else none
+    of_targets = targets if scene.targets else none
     return (of_stars, of_targets) if of_stars is not None and of_targets is not None else None
