@@ -93,6 +93,13 @@ def _nothing_kept(monkeypatch):
     objects._files.cache_clear()
 
 
+def test_a_figure_has_the_pixels_asked_for(tmp_path):
+    for given, size in (({}, (200, 100)), ({"dpi": 110}, (220, 110))):
+        blank_figure((2.0, 1.0), **given).savefig(tmp_path / "one.png")
+        head = (tmp_path / "one.png").read_bytes()[16:24]  # of a PNG: width and height
+        assert (int.from_bytes(head[:4]), int.from_bytes(head[4:])) == size
+
+
 @pytest.mark.parametrize(("hidden", "need", "package", "extra", "instead", "call"), PLACES)
 def test_a_missing_package_reads_as_a_message(
     hidden, need, package, extra, instead, call, monkeypatch, tmp_path

@@ -54,9 +54,12 @@ def test_same_for_any_workers_and_resumed(
         run_study(data, tmp_path, tmp_path / "again", ALONE)
     kept = sorted((tmp_path / "again" / "parts").glob("*.parquet"))
     kept[0].write_bytes(kept[0].read_bytes()[:-7])  # a part that is damaged is made again
+    heard: list[Any] = []
     resumed = run_study(
-        data, tmp_path, tmp_path / "again", StudyOptions("synchronous", resume=True)
+        data, tmp_path, tmp_path / "again", StudyOptions("synchronous", resume=True), heard.append
     )
+    assert [(h.done, h.total) for h in heard] == [(n, 20) for n in range(21 - len(heard), 21)]
+    assert 0 < len(heard) < 12  # what was finished before counts as done
     assert resumed["figures"] == alone["figures"]
     assert observations(tmp_path / "again") == observations(tmp_path / "alone")
     assert not (tmp_path / "again" / "parts").exists()

@@ -58,6 +58,16 @@ def test_light_is_that_of_the_steps_in_view(behind: list[int], share: float) -> 
     assert np.isnan(truth["x_px"][0]) == (4 in behind)
 
 
+def test_what_is_hidden_between_two_moments_alone_is_cut() -> None:
+    """Behind the limb for 0.8 of the 8 steps, while it is seen at every moment worked out."""
+    plan = prepare(parse_scene(SCENE)).plan
+    g = plan_geometry(plan.scene, np.array([0]), 0.0)
+    whole = place_targets(plan, g)[0]
+    g.target_clear[0, 0] = (np.arange(9) - 3.5) ** 2 - 0.4**2
+    assert g.target_clear.min() > 0.0
+    assert place_targets(plan, g)[0].light_e == pytest.approx(0.9 * whole.light_e, rel=0.01)
+
+
 def test_one_that_is_behind_all_the_time_is_not_drawn() -> None:
     plan = prepare(parse_scene(SCENE)).plan
     g = plan_geometry(plan.scene, np.array([0]), 0.0)

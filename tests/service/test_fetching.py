@@ -10,6 +10,7 @@ import httpx
 import pytest
 
 from pipeline.errors import Incomplete
+from pipeline.store.layout import COMPLETE
 from service import fetching
 
 
@@ -63,3 +64,22 @@ def test_a_file_that_did_not_come_is_not_called_damaged(
     job = SimpleNamespace(client=client, path="/v1/jobs/x", facts={})
     with pytest.raises(Incomplete, match="3 of 10 bytes came"):
         fetching.fetch_product(job, tmp_path / "run", 2, None)
+
+
+def test_a_product_that_is_half_there_has_no_seal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The seal is among the files that the server lists, and may be the first."""
+
+    def fetch(_: object, folder: Path, path: str, *__: object) -> None:
+        if path == "a.bin":
+            raise Incomplete("a.bin: 3 of 10 bytes came")
+        (folder / path).write_bytes(b"{}")
+
+    monkeypatch.setattr(fetching, "_listing", lambda _: [(COMPLETE, 2), ("a.bin", 10)])
+    monkeypatch.setattr(fetching, "_fetch", fetch)
+    client = SimpleNamespace(ask=lambda *_: SimpleNamespace(content=b"{}"))
+    job = SimpleNamespace(client=client, path="/v1/jobs/x", facts={})
+    with pytest.raises(Incomplete):
+        fetching.fetch_product(job, tmp_path / "run", 1, None)
+    assert not (tmp_path / "run" / COMPLETE).exists()

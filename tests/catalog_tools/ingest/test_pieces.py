@@ -78,6 +78,16 @@ def test_every_flipped_bit_is_noticed(tmp_path):
         column(tmp_path, piece, IDS)
 
 
+@pytest.mark.parametrize("kept", [0, 5, 20 * 99 - 3, 20 * 99 + 3])
+def test_a_piece_that_is_cut_within_a_value_is_damaged(tmp_path, kept):
+    piece = write_piece(tmp_path, 0, "a.rows", rows_of(99))
+    path = tmp_path / "a.rows"
+    path.write_bytes(path.read_bytes()[:kept])
+    assert not is_whole(tmp_path, piece)
+    with pytest.raises(Damaged, match=r"a\.rows"):
+        [column(tmp_path, piece, name) for name in PIECE]
+
+
 @pytest.mark.parametrize("where", [0.01, 0.3, 0.5, 0.7])
 def test_a_piece_that_changed_between_the_passes_is_told_and_mended(tmp_path, monkeypatch, where):
     stars = random_stars(9000, 4)

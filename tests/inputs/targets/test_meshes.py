@@ -372,6 +372,12 @@ def test_corners_may_be_counted_backwards(tmp_path):
     assert file.corners_m[..., 0].max() == 6.0
 
 
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_face_may_go_on_in_the_next_line(tmp_path, end):
+    text = CUBE.replace("f 4 3 2 1", "f 4 3 \\\n2 1").replace("\n", end)
+    assert len(read_mesh(write(tmp_path, text), "m").corners_m) == 12
+
+
 @pytest.mark.parametrize("corner", ["0", "-9"])
 def test_a_corner_that_no_point_has_is_refused(tmp_path, corner):
     with pytest.raises(BadInput, match=f"corner {corner}: they count from 1, or back from -1"):

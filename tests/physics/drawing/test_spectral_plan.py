@@ -141,6 +141,15 @@ def test_precision_follows_the_error_and_the_crowd() -> None:
     assert plan_spectral((128, 128), core, POINT, 1e-3 * peak, single=True, sources=1e7).single
 
 
+def test_a_wide_block_and_a_high_one_have_one_plan() -> None:
+    core = gaussian_core(0.8)
+    error = 1e-3 * peak_light(core, POINT)
+    wide, high = (plan_spectral(shape, core, POINT, error) for shape in ((64, 512), (512, 64)))
+    assert (wide.keep, wide.points) == (high.keep[::-1], high.points[::-1])
+    assert wide.error == pytest.approx(high.error, rel=0.1)
+    assert wide.keep[1] / wide.period[1] == pytest.approx(wide.keep[0] / wide.period[0], rel=0.03)
+
+
 def test_what_no_grid_reaches_is_refused() -> None:
     sharp = compact_core(Blur(Airy(0.1)), 4.0)
     with pytest.raises(BadInput, match="a larger one, a smaller block"):

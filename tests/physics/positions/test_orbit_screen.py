@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sgp4.api import SatrecArray
+from sgp4.api import Satrec, SatrecArray
 
 from benchmarks.targets import EPOCH, fixed, population, site
 from pipeline.physics.positions.earth import teme_to_gcrs
@@ -72,21 +72,41 @@ def test_few_are_kept_in_vain(sky: tuple) -> None:
     assert len(found.inside) <= 1.1 * np.sum(closest <= 0.3) + 2
 
 
-def test_limits_decayed_elements_are_named() -> None:
-    line1 = "1 25544U 98067A   19110.12345678  .00001000  00000-0  99999-1 0  999"
+def decaying(drag: str = "99999-1") -> Satrec:
+    """An object in the upper air, whose elements end within minutes, or an hour."""
+    line1 = f"1 25544U 98067A   19110.12345678  .00001000  00000-0  {drag} 0  999"
     line2 = "2 25544  51.6400 100.0000 0002000  80.0000 280.0000 16.7000000016600"
 
     def checked(line: str) -> str:
         return line + str(sum(int(c) if c.isdigit() else c == "-" for c in line) % 10)
 
-    bad = tle_satellite(checked(line1), checked(line2))
+    return tle_satellite(checked(line1), checked(line2))
+
+
+def test_limits_decayed_elements_are_named() -> None:
     epoch = parse_utc("2019-05-20T00:00:00Z")
     found = screen_cone(
-        [bad, *population(3)], epoch, 60.0, site(epoch), lambda t: fixed(np.array([1.0, 0, 0]), t),
-        0.01,
+        [decaying(), *population(3)], epoch, 60.0, site(epoch),
+        lambda t: fixed(np.array([1.0, 0, 0]), t), 0.01,
     )  # fmt: skip
     assert 0 in found.failed
     assert 0 not in found.inside
+
+
+def test_one_that_ends_after_it_was_inside_is_named_as_ended_alone() -> None:
+    """SGP4 serves it for the first half of the dwell, of all the sky around."""
+    bad, dwell_s = decaying("50000-3"), 1800.0
+    days = np.arange(0.0, 0.1, 1.0 / 86400.0)
+    codes = SatrecArray([bad]).sgp4(np.full(days.size, bad.jdsatepoch), bad.jdsatepochF + days)[0]
+    ends = days[np.argmax(codes[0] != 0)]
+    assert 0.5 * dwell_s / 86400.0 < ends < 0.1
+    epoch = bad.jdsatepoch, bad.jdsatepochF + ends - 0.5 * dwell_s / 86400.0
+    found = screen_cone(
+        [bad, *population(3)], epoch, dwell_s, site(epoch),
+        lambda t: fixed(np.array([1.0, 0, 0]), t), 4.0,
+    )  # fmt: skip
+    assert found.inside.tolist() == [1, 2, 3]
+    assert found.failed.tolist() == [0]
 
 
 def test_what_aberration_may_bring_in_is_kept(sky: tuple) -> None:

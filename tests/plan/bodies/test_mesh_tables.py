@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.physics.meshes.light_table import TURN, tabulated
-from pipeline.plan.bodies import mesh_tables
+from pipeline.plan.bodies import mesh_tables, paths
 from pipeline.plan.bodies.mesh_tables import decide_tables, moments_wanted, table_between
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.spec.load import parse_scene
@@ -213,3 +213,14 @@ def test_a_spin_either_way_needs_as_many_moments(tmp_path: Path) -> None:
     for rate in (40.0, -40.0):
         scene = scene_of(tmp_path, {"kind": "spin", "rate_deg_s": rate, "axis": [1, 0, 0]}, 10)
         assert moments_wanted(scene, scene.targets[0].body) == 10 * (2 + 34)
+
+
+def test_a_table_is_its_own_target_s_in_a_later_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of targets 2 to 4 only number 3 has one: it is the second of them."""
+
+    def light_of(_: Any, i: int, __: Any) -> Any:
+        return (lambda at, view: (i, at, view)) if i == 3 else None
+
+    monkeypatch.setattr(paths, "_tabled_light", light_of)
+    at, view = SimpleNamespace(offset_s=7.0), SimpleNamespace(of=lambda k: k.tolist())
+    assert paths._tabled(None, range(2, 5), at, view) == {1: (3, 7.0, [1])}  # type: ignore

@@ -152,6 +152,16 @@ def test_noise_hides_more_than_a_part_of_bright_sources_if_light_has_any() -> No
         assert of_stars(r, stars(r, *lights)).errors_e["common_streak"] == pytest.approx(expected)
 
 
+def test_points_of_bright_paths_err_by_a_share_of_their_light() -> None:
+    """0.1 millionths of 5e4 e- are 0.005; stars too bright for all classes need no table."""
+    r = responses()
+    r = replace(r, classes=tuple(replace(c, point_error=1e-7) for c in r.classes))
+    merged = 2.0 * SHOWN * BUDGET_E
+    for light_e, points_e in ((5e4, 0.005), (2e4, 0.002), (2e5, 0.0)):
+        found = of_stars(r, stars(r, light_e)).errors_e["common_streak"]
+        assert found == pytest.approx(merged + points_e)
+
+
 def test_bounds_together() -> None:
     one, other = (
         SourceBounds(b, {WINGS: w, "common_streak": 0.3 * w}) for b, w in ((3.0, 0.2), (7.0, 0.1))

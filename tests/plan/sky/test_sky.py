@@ -6,6 +6,7 @@ import copy
 import pickle
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ from pipeline.physics.targets.shadow import moon_m
 from pipeline.physics.vectors import from_angles
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
+from pipeline.plan.sky.light import off_plane_remarks
 from pipeline.plan.sky.night import _moon_share, dimmed
 from pipeline.plan.sky.sky import _grid_told, facts_with_sky, plan_sky, sky_grid, sky_tile
 from pipeline.plan.stars.faint import faint_limit, limits_g_mag
@@ -310,6 +312,16 @@ def test_zodiacal_light_off_the_ecliptic_is_told_with_its_size(scene):
     assert not told["in"]
     assert len(told["off"]) == 1
     assert re.search(r"5\.[2-5]\d? deg off the ecliptic.* 1\.2 times too bright", *told["off"])
+
+
+def test_the_frame_farthest_off_the_ecliptic_is_told(scene):
+    """One frame in the plane, one 5.3 degrees beside it, in either order."""
+    s = planned(scene, ZODIACAL)[0]
+    places = np.array([[0.0, 0.918, 0.398], [0.0, 0.918, 0.3]])[:, None]
+    for observer in (places, places[::-1]):
+        g = SimpleNamespace(sun_m=np.zeros((2, 1, 3)), observer_m=observer, middle=0)
+        (told,) = off_plane_remarks(s, g)
+        assert re.search(r"5\.[2-5]\d? deg off", told)
 
 
 def test_extrapolated_near_the_sun(scene):

@@ -246,8 +246,9 @@ def test_the_moon_behind_the_earth_gives_none(scene, curve):
     assert _seen_past_earth(beside, moon - beside, 1.74e6) == 1.0
     half = np.array([-4.2e7, EARTH_EQUATORIAL_RADIUS_M * 1.111, 0.0])
     assert 0.0 <= _seen_past_earth(half, moon - half, 1.74e6) <= 1.0
-    before = np.array([4.2e7, 0.0, 0.0])
-    assert _seen_past_earth(before, moon - before, 1.74e6) == 1.0
+    for before in (4.2e7, 4.2e8):  # the Moon away from the Earth, and in transit of it
+        place = np.array([before, 0.0, 0.0])
+        assert _seen_past_earth(place, moon - place, 1.74e6) == 1.0
 
 
 @pytest.mark.parametrize("radii", [-2.0, -1.0, -0.5, 0.0, 0.3, 1.0, 1.5])

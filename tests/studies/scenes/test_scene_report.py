@@ -21,10 +21,10 @@ from pipeline.errors import BadInput
 from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.response.responses import CoreClass
-from pipeline.plan.tiles import Tile
+from pipeline.plan.tiles import Tile, cut_up
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
-from pipeline.studies.scenes import scenes, study
+from pipeline.studies.scenes import scenes, stage, study
 from pipeline.studies.scenes.exact import _below, _bright_places
 from pipeline.studies.scenes.figure import ladder_figure
 from pipeline.studies.scenes.report import report_scenes
@@ -215,3 +215,17 @@ def test_the_catalogue_is_deep_where_the_usual_scenes_look(monkeypatch, tmp_path
         with pytest.raises(BadInput):
             study.run_study(names, (0.5,), quick, None, tmp_path)
     assert asked == [study.QUICK_SCENES, tuple(scenes.MAKERS), ("earth-limb",)]
+
+
+def test_each_tile_is_drawn_from_the_blocks_that_it_touches(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two rows of three blocks: a tile in one, one across the border of two, all; each once."""
+    places, drawn = cut_up((20, 30), (10, 10)), []
+    monkeypatch.setattr(stage, "plan_blocks", lambda *_: places)
+    monkeypatch.setattr(stage, "render_block", lambda *given: drawn.append(given[2]) or given[2])
+    around = stage.blocks_by(SimpleNamespace(rows=0, g=None, stars=None), None)  # type: ignore
+    assert around(Tile(0, 0, 12, 21, 5, 5)) == [places[5]]
+    assert around(Tile(0, 0, 2, 8, 5, 5)) == [places[0], places[1]]
+    assert around(Tile(0, 0, 0, 0, 20, 30)) == list(places)
+    assert sorted(drawn, key=places.index) == list(places)
