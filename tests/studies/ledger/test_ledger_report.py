@@ -16,7 +16,7 @@ from pipeline.errors import BadInput
 from pipeline.physics.constants import EARTH_EQUATORIAL_RADIUS_M
 from pipeline.physics.targets.shadow import sunlit_past_earth
 from pipeline.physics.vectors import unit
-from pipeline.plan.ledger import LEDGER
+from pipeline.plan.ledger import LEDGER, rule_of
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.studies.ledger.probe import PROBES, ProbeResult
 from pipeline.studies.ledger.report import report_ledger
@@ -78,6 +78,17 @@ def test_a_broken_bound_is_told():
     assert ProbeResult("x", "", 1.0, 0.9, "px", 0.0, 0.0).holds
     assert not ProbeResult("x", "", 1.0, 1.1, "px", 0.0, 0.0).holds
     assert not ProbeResult("x", "", 1.0, float("nan"), "px", 0.0, 0.0).holds
+
+
+def test_streaks_are_probed_for_all_that_their_rule_decides(monkeypatch):
+    from pipeline.studies.ledger import drawing
+
+    crowd, asked = SimpleNamespace(component="crowds_by_transforms"), []
+    monkeypatch.setattr(drawing, "_switched", lambda _, wanted, __: asked.extend(wanted) or ())
+    monkeypatch.setattr(drawing, "_crowd", lambda _: crowd)
+    found = [result.component for result in drawing.engines(SimpleNamespace(catalogue="none"))]
+    ruled = rule_of("phase_interpolation").components
+    assert {*asked, *found} == {*ruled} - {"star_engines"}  # which only tells what draws
 
 
 def test_of_a_rolling_shutter_the_farthest_star_counts(monkeypatch):
