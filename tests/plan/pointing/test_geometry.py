@@ -242,3 +242,16 @@ def test_paths_are_as_straight_between_nodes_as_is_asked(scene: Make, asked: flo
     told = bend_px(s, g, 0.0)
     assert 0.3 * told < np.nanmax(off) <= 1.05 * told
     assert told <= FINE_PX * min(1.0, asked / 0.05)
+
+
+def test_under_moving_charge_a_place_is_that_of_mid_exposure(scene: Make) -> None:
+    """The charge takes the light along by 60 rows/s; at mid-exposure nothing is moved."""
+    changes = {"observer": LEO, "targets": [GEO_TARGET],
+               "pointing": {"mode": "target", "target": "geo"}}  # fmt: skip
+    tdi = {"sensor.detector": {"readout": {"kind": "tdi", "rows_per_s": 60.0}}}
+    still, moved = (
+        plan_geometry(scene(changes | more), np.zeros(1, int), 0.0) for more in ({}, tdi)
+    )
+    since_s = still.offset_s[0] - still.offset_s[0].mean()
+    off = moved.target_y_px[0, 0] - still.target_y_px[0, 0]
+    np.testing.assert_allclose(off, -60.0 * since_s, atol=1e-6)
