@@ -51,15 +51,16 @@ def engines(bench: Bench) -> Iterator[ProbeResult]:
         "mode": "rate",
         "boresight_ra_deg": RA_DEG,
         "boresight_dec_deg": DEC_DEG,
-        "rate_ra_arcsec_s": 9.0,
-        "rate_dec_arcsec_s": 12.0,
-        "roll_rate_deg_s": 0.05,
+        "rate_ra_arcsec_s": 72.0,
+        "rate_dec_arcsec_s": 96.0,
+        "roll_rate_deg_s": 0.02,
     }
-    streaks = scene({"stars": stars, "pointing": turn, "sensor.psf": AIRY})
+    dim = {"sensor.aperture_m": 0.05}  # so that there are stars which share a streak
+    streaks = scene(dim | {"stars": stars, "pointing": turn, "sensor.psf": AIRY})
     yield from _switched(
         streaks,
         ("phase_interpolation", "common_streak"),
-        f"{SIDE} x {SIDE} px, stars streak by 8 px",
+        f"{SIDE} x {SIDE} px, stars streak by 65 px",
     )
     yield _crowd(bench)
 
