@@ -54,3 +54,18 @@ def test_defocus_of_a_shifted_detector() -> None:
     path -= path @ mass / mass.sum()
     rms = np.sqrt(path**2 @ mass / mass.sum())
     assert abs(defocus_rms(shift, focal / aperture)) == pytest.approx(rms, rel=1e-2)
+
+
+def test_even_terms_lie_along_x() -> None:
+    """Noll counts the angle from +x: Z2 is 2 x, Z6 the astigmatism of x^2 - y^2, Z8 coma in x."""
+    y, x = np.array([0.1, -0.4, 0.7]), np.array([0.3, 0.5, -0.2])
+    r2 = x**2 + y**2
+    for j, expected in (
+        (2, 2.0 * x),
+        (3, 2.0 * y),
+        (5, np.sqrt(6.0) * 2.0 * x * y),
+        (6, np.sqrt(6.0) * (x**2 - y**2)),
+        (7, np.sqrt(8.0) * (3.0 * r2 - 2.0) * y),
+        (8, np.sqrt(8.0) * (3.0 * r2 - 2.0) * x),
+    ):
+        np.testing.assert_allclose(wavefront(((j, 1.0),), y, x), expected, atol=1e-14)
