@@ -522,3 +522,19 @@ def test_layers_cost_the_same_in_whatever_order_and_with_dn_or_without(scene: Ma
     ]
     assert costs[1] == costs[2]
     assert costs[1] - costs[0] == pytest.approx(costs[3] - costs[2], rel=1e-9)
+
+
+def test_the_field_told_is_in_degrees(scene: Make) -> None:
+    """Rows and columns of pixels of pitch over focal length."""
+    cut = scene({"sensor.shape": [300, 500], "sensor.focal_length_m": 0.9})
+    pixel_deg = np.degrees(cut.sensor.pixel_pitch_um * 1e-6 / 0.9)
+    told = plan_dict(plan_of(cut), None)["field_deg"]
+    assert told == pytest.approx([300 * pixel_deg, 500 * pixel_deg], rel=1e-6)
+
+
+def test_what_moving_charge_leaves_of_a_star_is_told_in_pixels(scene: Make) -> None:
+    """At rest in the sky, for 3 s, while charge moves 5 rows/s: 15 px along the columns."""
+    readout = {"readout": {"kind": "tdi", "rows_per_s": 5.0}}
+    cut = scene({"sensor.detector": readout, "exposure.integration_s": 3.0})
+    [told] = [d.reason for d in plan_of(cut).decisions if "charge moves 5 rows/s" in d.reason]
+    assert "so that it streaks 15 px along" in told

@@ -18,6 +18,7 @@ import pytest
 from archive_server import ArchiveServer, md5sum_text, small_archive
 
 from catalog_tools.errors import BadInput, Damaged, Incomplete
+from catalog_tools.fetch.download import sizes_of
 from catalog_tools.fetch.fetch import fetch
 from catalog_tools.fetch.fetched import stated_coverage
 from catalog_tools.fetch.layout import RELEASES
@@ -92,6 +93,7 @@ def test_cut_body_of_unknown_length_is_found_by_its_digest(archive, tmp_path, ha
 
 SCRIPT = """
 import signal, sys
+from catalog_tools.fetch.download import sizes_of
 from catalog_tools.fetch.fetch import fetch
 from catalog_tools.fetch.patience import Patience
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
@@ -460,3 +462,9 @@ def test_room_for_what_is_still_missing(tmp_path, monkeypatch, free, fits):
     else:
         with pytest.raises(BadInput, match="100 bytes free for what is missing"):
             download._check_space(meter, ledger)
+
+
+def test_a_length_that_a_server_does_not_tell_is_unknown():
+    """Not nothing: what is left to fetch, and for how long, would be told too short."""
+    remote = SimpleNamespace(size={"a": 3}.get)
+    assert sizes_of(remote, [SimpleNamespace(name=name) for name in "ab"]) == {"a": 3}

@@ -75,6 +75,18 @@ def test_over_phase_and_time_the_error_holds() -> None:
     np.testing.assert_allclose(table.at(t[0], p[0]), table.at(t[0], p[0] + TURN), rtol=1e-9)
 
 
+def test_no_more_moments_are_worked_out_than_may_be() -> None:
+    def light(p: np.ndarray, t: np.ndarray) -> np.ndarray:
+        return (1.0 + 0.3 * np.cos(p - 0.1 * t))[:, None]
+
+    table = tabulated(light, 0.0, 20.0, 2e-3, 20_000, True)
+    assert table is not None
+    grid = table.values[..., 0].size
+    for most in (grid // 4, grid // 2 + 1, grid - 1):
+        assert tabulated(light, 0.0, 20.0, 2e-3, most, True) is None
+    assert tabulated(light, 0.0, 20.0, 2e-3, 2 * grid, True) is not None
+
+
 def scene_of(folder: Path, law: dict[str, Any] | None, frames: int, **more: Any) -> Any:
     from pipeline.inputs.targets.meshes import gather_meshes
 
