@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from importlib.metadata import version as version_of
@@ -14,6 +15,13 @@ from pipeline.commands.lazy import lazy_group
 from pipeline.commands.table import COMMANDS
 from pipeline.errors import NO_ROOM, NightglassError, exit_code
 from pipeline.lines import fold
+
+NO_THREAD = "can't start new thread"  # as Python says it
+# What a path may be that is no place for a file: exit code 2, as the user gave it.
+NO_PLACE = (
+    errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG,
+    errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS,
+)  # fmt: skip
 
 app = lazy_group(COMMANDS, completion=True, name="nightglass")
 
@@ -36,6 +44,7 @@ def _common(
 
 def main() -> None:
     """Run the command line; every error is one message and an exit code."""
+    _open_streams()
     one_heap()
     few_collections()
     try:
@@ -47,6 +56,15 @@ def main() -> None:
         raise
     except BaseException as error:
         sys.exit(_explain(error))
+
+
+def _open_streams() -> None:
+    """A stream that the caller closed (`2>&-`) leads nowhere, and no file takes its number."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            stream = os.fdopen(os.open(os.devnull, os.O_RDWR), mode, encoding="utf-8")
+            os.set_inheritable(stream.fileno(), True)
+            setattr(sys, name, stream)
 
 
 def _explain(error: BaseException) -> int:
@@ -62,12 +80,16 @@ def _explain(error: BaseException) -> int:
         return 130
     if isinstance(error, OSError) and error.errno is not None:
         full = f"the disk is full ({os.strerror(error.errno)})"
-        said, code = (full, 3) if error.errno in NO_ROOM else (error.strerror, 1)
+        misplaced = 2 if error.errno in NO_PLACE else 1
+        said, code = (full, 3) if error.errno in NO_ROOM else (error.strerror, misplaced)
         _say(f"{error.filename or 'a file'}: {said}")
         return code
     if isinstance(error, NightglassError | MemoryError):
         _say(str(error) if isinstance(error, NightglassError) else _no_memory(error))
         return exit_code(error)
+    if isinstance(error, RuntimeError) and str(error) == NO_THREAD:
+        _say("no thread can be started (ulimit -u, or -v): fewer --workers need less")
+        return exit_code(MemoryError())
     if os.environ.get("NIGHTGLASS_DEBUG"):
         raise error
     name = type(error).__name__

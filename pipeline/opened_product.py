@@ -60,7 +60,7 @@ class TruthTables(Mapping[str, pa.Table]):
             )
         path = self._folder / f"{name}.parquet"
         try:
-            return pq.read_table(path, page_checksum_verification=True)
+            return pq.read_table(path.absolute(), page_checksum_verification=True)
         except (OSError, pa.ArrowException) as error:
             raise Damaged(str(path), " ".join(str(error).split())) from None
 

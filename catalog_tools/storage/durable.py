@@ -14,14 +14,17 @@ import numpy as np
 
 from ..errors import NO_ROOM, DiskFull
 
+AGAIN = "make room and run the same command again"
+
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a sibling of `path` that no other writer has; written, it takes the name `path`.
 
-    It reaches the disk first. If the block fails, `path` is as it was and the sibling is gone.
+    It reaches the disk first. If the block fails, `path` is as it was and the sibling is gone. Its
+    path is absolute: Arrow takes the `run:1` of a relative `run:1/a.parquet` for a kind of URL.
     """
-    own = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
+    own = path.absolute().with_name(f".{path.name}.{uuid4().hex}.tmp")
     try:
         yield own
         sync(own)

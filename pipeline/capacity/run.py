@@ -87,6 +87,7 @@ def run_study(
     where work stopped (what is done is kept).
     """
     study, options = parse_study(data), options or StudyOptions()
+    out = out.absolute()  # Arrow takes the `a:b` of a relative `a:b/c.parquet` for a kind of URL
     if study.points == 1:
         return _run_point(data, folder, out, options, listen)
     ledger.begin(out, {"study": data}, options.resume, "study")

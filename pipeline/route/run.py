@@ -207,7 +207,7 @@ def _explained(place: Place, writing: Writing, share: Share | None) -> Iterator[
     """Of an error that ends the drawing: what it leaves behind, and how to go on."""
     try:
         yield
-    except (NightglassError, MemoryError) as error:
+    except (NightglassError, MemoryError, RuntimeError) as error:  # the last: of threads
         kept = _is_kept(place, share)
         if not kept:
             writing.discard()  # nothing was finished, so nothing is left behind

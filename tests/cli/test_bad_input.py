@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+import errno
 import json
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from typer.main import get_command
 
 from catalog_tools.catalogue import open_catalogue
 from catalog_tools.engine import clusters
+from catalog_tools.storage import durable
 from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.cli import _explain as explain
 from pipeline.cli import app
@@ -313,10 +316,10 @@ def test_a_fault_is_one_message_or_on_request_its_trace(monkeypatch, capsys):
     assert explain(BadInput("field", 1, "2")) == 2
 
 
-@pytest.mark.parametrize("errno", NO_ROOM)
-def test_a_full_disk_ends_with_its_own_exit_code(errno, capsys):
+@pytest.mark.parametrize("number", NO_ROOM)
+def test_a_full_disk_ends_with_its_own_exit_code(number, capsys):
     """Whatever there is no room for: the disk, a quota, a file of that size."""
-    assert explain(OSError(errno, "no room", "out.zarr")) == 3
+    assert explain(OSError(number, "no room", "out.zarr")) == 3
     assert capsys.readouterr().err.startswith("nightglass: out.zarr: the disk is full (")
 
 
@@ -330,3 +333,53 @@ def test_where_memory_ends_it_says_what_needs_less(asked, told, capsys):
     assert said.startswith(f"nightglass: {told}")
     assert "--workers" in said
     assert said.count("\n") == 1
+
+
+def test_where_threads_end_it_says_what_needs_less(capsys):
+    """As where `ulimit -u` or `-v` holds: no fault of the program, as where memory ends."""
+    assert explain(RuntimeError("can't start new thread")) == 3
+    said = capsys.readouterr().err
+    assert said.startswith("nightglass: no thread can be started (ulimit -u")
+    assert "--workers" in said
+
+
+@pytest.fixture(scope="module")
+def bright(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("bright") / "catalogue"
+    make_demo(path, faintest_g_mag=4.0)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("below", "said"),
+    [("file/x", "Not a directory"), ("no/such/x", "No such file"), ("x" * 300, "name too long")],
+)
+def test_a_path_where_no_file_can_be_is_bad_input(below, said, bright, tmp_path):
+    (tmp_path / "file").touch()
+    out = tmp_path / f"{below}.csv"
+    ran = nightglass("catalog", "cone", bright, "--ra=0", "--dec=0", "--radius=30", "-o", out)
+    assert ran.returncode == 2
+    assert said in ran.stderr
+    assert ran.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["cone", "observe", "light-curve"])
+def test_a_table_without_room_is_there_whole_or_not_at_all(command, bright, tmp_path, monkeypatch):
+    """The disk fills up as the last of it is written."""
+    scene, out = tmp_path / "scene.json", tmp_path / "table.csv"
+    ball = {"name": "a", "orbit": ORBIT, "body": {"kind": "sphere", "diameter_m": 1, "albedo": 0.2}}
+    scene.write_text(json.dumps(SCENE | {"targets": [ball]}))
+    monkeypatch.setattr(durable, "sync", Mock(side_effect=OSError(errno.ENOSPC, "no room")))
+    where = ("--ra=0", "--dec=0", "--radius=30")
+    given = ("catalog", "cone", bright, *where) if command == "cone" else (command, scene)
+    ran = nightglass(*given, "-o", out)
+    assert ran.returncode == 3, ran.stderr
+    assert ran.stderr.startswith(f"nightglass: {out}: the disk is full (")
+    assert not list(tmp_path.glob("*table*"))
+
+
+@pytest.mark.parametrize("closed", ["2>&-", "0<&- 1>&- 2>&-"])
+def test_a_closed_stream_changes_no_exit_code(closed, tmp_path):
+    """As a daemon or a scheduler may start it; what is said goes nowhere."""
+    line = f"{sys.executable} -m pipeline plan {tmp_path}/none {closed}"
+    assert subprocess.run(["sh", "-c", line], capture_output=True).returncode == 2

@@ -9,11 +9,14 @@ import json
 import os
 from pathlib import Path
 
+import pyarrow as arrow
 import pytest
+from pyarrow import parquet
 
 from catalog_tools.fetch.ledger import FileLedger, write_whole
 from catalog_tools.ingest.ingest import ingest
 from catalog_tools.storage.durable import file_digest, whole_file, write_atomically
+from pipeline.opened_product import TruthTables
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.markers import read_marker
@@ -174,3 +177,13 @@ def test_a_files_digest_is_the_published_one(tmp_path):
     (tmp_path / "a").write_text("abc")
     known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
     assert file_digest(tmp_path / "a") == known
+
+
+def test_a_folder_may_have_a_colon_in_its_name(tmp_path, monkeypatch):
+    """`-o run:1`: Arrow took the beginning of the path for that of a URL."""
+    monkeypatch.chdir(tmp_path)
+    folder = Path("run:1")
+    folder.mkdir()
+    with whole_file(folder / "stars.parquet") as own:
+        parquet.write_table(arrow.table({"a": [1]}), own)
+    assert TruthTables(folder)["stars"]["a"].to_pylist() == [1]

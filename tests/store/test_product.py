@@ -332,11 +332,12 @@ def test_truth_is_joined_while_frames_are_drawn(tmp_path, monkeypatch, made):
     assert content_digest(tmp_path / "two") == content_digest(made)
 
 
-def test_nothing_stays_where_memory_ends_before_a_tile(tmp_path, monkeypatch):
+@pytest.mark.parametrize("ended", [MemoryError("32 MiB"), RuntimeError("can't start new thread")])
+def test_nothing_stays_where_memory_or_threads_end_before_a_tile(ended, tmp_path, monkeypatch):
     """As after any other error before the first tile: the same command can be tried again."""
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.execute.graph.render_tile", Mock(side_effect=MemoryError("32 MiB")))
-        with pytest.raises(MemoryError, match="32 MiB"):
+        patch.setattr("pipeline.execute.graph.render_tile", Mock(side_effect=ended))
+        with pytest.raises(type(ended), match=str(ended)):
             render(scene(), tmp_path / "run", Options("synchronous"))
     assert not (tmp_path / "run").exists()
     render(scene(), tmp_path / "run")
