@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
+import shutil
 import sys
+import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -44,5 +47,37 @@ def keep_apart(package: Path) -> None:
     version = hashlib.sha256(b"".join(sources(package))).hexdigest()[:16]
     if Path(asked).name != version:  # a process that this one starts has it already
         os.environ[FOLDER] = str(Path(asked, version))
+    _tell_numba()
+
+
+def keep_somewhere(package: Path) -> None:
+    """Where none of numba's places can be written, let kernels lie in a folder of this process.
+
+    As where another user installed the program and HOME is not to be written: numba refuses to
+    import what it cannot keep. The processes that this one starts share the folder.
+    """
+    users = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
+    asked = os.environ.get(FOLDER)
+    places = [package / "__pycache__", Path(users, "numba"), *([Path(asked)] if asked else [])]
+    if any(_can_be_written(place) for place in places):
+        return
+    own = tempfile.mkdtemp(prefix="nightglass-kernels-")
+    atexit.register(_remove, own, os.getpid())
+    os.environ[FOLDER] = own
+    _tell_numba()
+
+
+def _can_be_written(folder: Path) -> bool:
+    """Whether a folder is there, or can be made, and takes files."""
+    there = next(f for f in (folder, *folder.absolute().parents) if f.exists())
+    return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
+
+
+def _remove(folder: str, owner: int) -> None:
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _tell_numba() -> None:
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = os.environ[FOLDER]

@@ -7,10 +7,12 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
-from pipeline.compiled import FOLDER, forget_stale, keep_apart
+from catalog_tools.engine.home import ensure_home
+from pipeline.compiled import FOLDER, forget_stale, keep_apart, keep_somewhere
 
 CALLEE = """from numba import njit
 @njit(cache=True)
@@ -99,3 +101,36 @@ def test_a_folder_of_kept_kernels_is_parted_by_sources(
     monkeypatch.delenv(FOLDER)
     keep_apart(tmp_path)
     assert FOLDER not in os.environ
+
+
+def test_kernels_lie_in_a_folder_of_the_process_where_nothing_else_takes_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else numba imports none; nor is a place of its own passed over where one can be written."""
+    monkeypatch.setattr("pipeline.compiled._tell_numba", lambda: None)
+    (tmp_path / "file").touch()
+    refused = tmp_path / "file" / "below"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(refused))
+    monkeypatch.setenv(FOLDER, str(refused))
+    keep_somewhere(tmp_path)  # beside the sources
+    assert os.environ[FOLDER] == str(refused)
+    keep_somewhere(refused)
+    own = Path(os.environ[FOLDER])
+    assert own.is_dir()
+    assert own != refused
+    keep_somewhere(refused)  # in a process that the first one starts
+    assert Path(os.environ[FOLDER]) == own
+    own.rmdir()
+
+
+def test_no_home_that_can_be_told_is_the_root(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user whose number has no name, or whose HOME is closed: astropy was not imported."""
+    for error in (RuntimeError("Could not determine home directory."), PermissionError(13, "no")):
+        monkeypatch.setenv("HOME", "/closed")
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "exists", Mock(side_effect=error))
+            ensure_home()
+        assert os.environ["HOME"] == "/"
+    monkeypatch.setenv("HOME", "/nowhere/at/all")
+    ensure_home()
+    assert os.environ["HOME"] == "/nowhere/at/all"
