@@ -127,6 +127,7 @@ def _part(path: Path, kind: int, frame: int, shape: tuple[int, int], least_snr: 
                 "object_name": np.empty(0, "U80"),
             }
         )
+    path = path.absolute()  # Arrow takes the `run:1` of a relative path for a kind of URL
     known = pq.read_schema(path).names
     wanted = [c for c in (*_COLUMNS, *names, "visible_fraction") if c in known]
     rows = pq.read_table(path, columns=wanted, filters=[("frame", "=", frame)])

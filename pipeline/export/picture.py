@@ -110,7 +110,7 @@ def png_bytes(picture: Image.Image) -> bytes:
 
 def _mark_targets(picture: Image.Image, product: Path, frame: int, factor: int) -> None:
     """Green circles round the targets in view that the Earth does not hide."""
-    table = product / TRUTH / "targets.parquet"
+    table = product.absolute() / TRUTH / "targets.parquet"
     if not table.is_file():
         return
     shown: list[tuple[str, str, float]] = [("frame", "=", frame), ("in_frame", "=", True)]
@@ -127,7 +127,7 @@ def _mark_targets(picture: Image.Image, product: Path, frame: int, factor: int) 
 
 def _mark_cosmic_rays(picture: Image.Image, product: Path, frame: int, factor: int) -> None:
     """Cyan ellipses round the cosmic rays with the most charge, as long as their tracks."""
-    table = product / TRUTH / "cosmic_rays.parquet"
+    table = product.absolute() / TRUTH / "cosmic_rays.parquet"
     if not table.is_file():
         return
     rows = arrow().parquet.read_table(table, filters=[("frame", "=", frame)])

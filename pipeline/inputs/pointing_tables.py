@@ -214,7 +214,7 @@ def _npy(path: Path) -> JsonObject:
 
 
 def _parquet(path: Path) -> JsonObject:
-    table = arrow().parquet.read_table(path)
+    table = arrow().parquet.read_table(path.absolute())
     return {name: table[name].to_pylist() for name in table.column_names}
 
 

@@ -10,6 +10,7 @@ import os
 import shutil
 from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
@@ -341,3 +342,11 @@ def test_nothing_stays_where_memory_or_threads_end_before_a_tile(ended, tmp_path
             render(scene(), tmp_path / "run", Options("synchronous"))
     assert not (tmp_path / "run").exists()
     render(scene(), tmp_path / "run")
+
+
+def test_a_product_may_have_a_colon_in_its_name(tmp_path, monkeypatch):
+    """Arrow takes `run:1/truth` for a kind of URL, also where the picture is made of its tables."""
+    monkeypatch.chdir(tmp_path)
+    data = {**SCENE, "cosmic_rays": {"kind": "generated", "rate_per_cm2_s": 5.0}}
+    render(parse_scene(data), "run:1")
+    assert check(Path("run:1")).complete
