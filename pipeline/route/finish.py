@@ -21,11 +21,7 @@ from pipeline.plan.accuracy import doubts_of, for_sources, total_e, total_sigma
 from pipeline.plan.described import colour_facts
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.response.sources import (
-    TABLES,
-    WINGS,
-    SourceBounds,
-)
+from pipeline.plan.response.sources import TABLES, WINGS, SourceBounds
 from pipeline.plan.timing import longest_s
 from pipeline.route.truths import Truths
 from pipeline.spec.load import scene_yaml
@@ -38,7 +34,6 @@ from pipeline.store.truth import drop_parts, write_whole
 
 if TYPE_CHECKING:
     from pathlib import Path
-
 
 WINDOW = 256
 SAME = 1e-3  # of the noise of an empty pixel, up to which frames share one number

@@ -89,14 +89,15 @@ class PointLedger:
         for path in self._parts():
             self._next = max(self._next, int(path.stem.split("-")[1]) + 1)
             try:
-                table = pq.read_table(
-                    path, columns=["point", "status"], page_checksum_verification=True
+                table = pq.read_table(  # to Arrow a relative `a:b` is a kind of URL
+                    path.absolute(), columns=["point", "status"], page_checksum_verification=True
                 )
                 point, failed = table["point"].to_numpy(), table["status"].to_numpy() == "failed"
                 if point.size and not (point.min() >= 0 and point.max() < self.size):
                     raise ValueError("points that the sweep does not have")
             except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-                self.removed.append(f"{path.name}: {str(error).splitlines()[0][:200]}")
+                told = str(error).splitlines()[0].replace(str(path.absolute()), str(path))
+                self.removed.append(f"{path.name}: {told[:200]}")
                 path.unlink()
                 continue
             self.done[point] = True
@@ -140,7 +141,7 @@ class PointLedger:
             for first in range(0, self.size, JOIN_POINTS):
                 end = min(first + JOIN_POINTS, self.size)
                 near = [
-                    str(path)
+                    str(path.absolute())
                     for path, (low, high) in zip(parts, spans, strict=True)
                     if low < end and high >= first
                 ]
@@ -161,7 +162,9 @@ class PointLedger:
 
 def _span(path: Path) -> tuple[int, int]:
     """The least and largest number of a point in a part."""
-    column: NDArray[np.int64] = pq.read_table(path, columns=["point"])["point"].to_numpy()
+    column: NDArray[np.int64] = pq.read_table(path.absolute(), columns=["point"])[
+        "point"
+    ].to_numpy()
     return int(column.min()), int(column.max())
 
 

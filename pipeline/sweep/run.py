@@ -80,7 +80,6 @@ def run_course(
     warn: Warned | None = None,
 ) -> JsonObject:
     """Run a sweep that was read already, as `sweep` does."""
-    out = out.absolute()  # Arrow takes the `a:b` of a relative path for a kind of URL
     with full_disk(out):
         return _run_course(course, out, options or Options(), retry_failed, listen, warn)
 

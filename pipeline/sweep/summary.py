@@ -26,7 +26,7 @@ NOT_METRICS = ("point", "seed", "status", "message", "content_digest", "frames_i
 def summarise(sweep: Sweep, out: Path, names: tuple[str, ...], told: JsonObject) -> JsonObject:
     """Write report.json, summary.html and summary.svg; returns the report."""
     axes = [name for axis in sweep.axes for name in axis.fields if name != "seed"]
-    file = pq.ParquetFile(out / TABLE)
+    file = pq.ParquetFile(out.absolute() / TABLE)
     metrics = [
         f.name
         for f in file.schema_arrow
