@@ -11,7 +11,7 @@ import numpy as np
 import zarr
 
 from catalog_tools.documents import JsonObject
-from catalog_tools.storage.durable import AGAIN, full_disk_told
+from catalog_tools.storage.durable import MAKE_ROOM, full_disk_told
 from pipeline.arrays import SensorMaps
 from pipeline.errors import BadInput, Damaged, check_new
 from pipeline.execute.detector import tile_chain
@@ -56,7 +56,7 @@ def calibrate(product: Path, output: Path) -> JsonObject:
     if partial.exists():
         raise BadInput("-o", str(partial), "no such path: it is left of a calibration cut off")
     try:
-        with full_disk_told(output, AGAIN):
+        with full_disk_told(output, MAKE_ROOM):
             report = _write(product, partial, cube, scene, maps)
         partial.rename(output)
     except BaseException:

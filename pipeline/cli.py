@@ -84,12 +84,12 @@ def _explain(error: BaseException) -> int:
         said, code = (full, 3) if error.errno in NO_ROOM else (error.strerror, misplaced)
         _say(f"{error.filename or 'a file'}: {said}")
         return code
-    if isinstance(error, NightglassError | MemoryError):
-        _say(str(error) if isinstance(error, NightglassError) else _no_memory(error))
+    if isinstance(error, NightglassError):
+        _say(str(error))
         return exit_code(error)
-    if isinstance(error, RuntimeError) and str(error) == NO_THREAD:
-        _say("no thread can be started (ulimit -u, or -v): fewer --workers need less")
-        return exit_code(MemoryError())
+    if lacking := _lacking(error):
+        _say(lacking)
+        return 3
     if os.environ.get("NIGHTGLASS_DEBUG"):
         raise error
     name = type(error).__name__
@@ -97,9 +97,14 @@ def _explain(error: BaseException) -> int:
     return 1
 
 
-def _no_memory(error: MemoryError) -> str:
-    asked = f" ({error})" if str(error) else ""
-    return f"no memory is left{asked}: fewer --workers, or smaller tiles, need less"
+def _lacking(error: BaseException) -> str:
+    """What the machine has too little of for this work; "" where an error is of something else."""
+    if isinstance(error, MemoryError):
+        asked = f" ({error})" if str(error) else ""
+        return f"no memory is left{asked}: fewer --workers, or smaller tiles, need less"
+    if isinstance(error, RuntimeError) and str(error) == NO_THREAD:
+        return "no thread can be started (ulimit -u, or -v): fewer --workers need less"
+    return ""
 
 
 def _say(message: str) -> None:

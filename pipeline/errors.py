@@ -49,7 +49,6 @@ NOT_NOW = (0, 429, 503)  # statuses of a server that may answer later
 EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
     (BadInput, 2),
     (Incomplete, 3),
-    (MemoryError, 3),
     (TryLater, 4),
     (Damaged, 2),
     (Interrupted, 130),

@@ -15,7 +15,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from catalog_tools.storage.durable import AGAIN, full_disk_told, whole_file
+from catalog_tools.storage.durable import MAKE_ROOM, full_disk_told, whole_file
 from pipeline.errors import BadInput
 from pipeline.inputs.band.curves import solar_spectrum
 from pipeline.inputs.earth_orientation import gather_dut1_s, with_pole
@@ -187,7 +187,7 @@ def write_light_curves(
         _draw(curve, name, plot)
     try:
         with (
-            full_disk_told(table, AGAIN),
+            full_disk_told(table, MAKE_ROOM),
             whole_file(table) as own,
             _writer(own, first.schema, ending) as writer,
         ):

@@ -61,6 +61,8 @@ class TruthTables(Mapping[str, pa.Table]):
         path = self._folder / f"{name}.parquet"
         try:
             return pq.read_table(path.absolute(), page_checksum_verification=True)
+        except MemoryError:
+            raise  # of Arrow, too: no damage
         except (OSError, pa.ArrowException) as error:
             raise Damaged(str(path), " ".join(str(error).split())) from None
 

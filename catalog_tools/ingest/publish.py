@@ -13,11 +13,10 @@ from typing import IO, NamedTuple
 
 from ..catalogue import MANIFEST_NAME
 from ..errors import NO_ROOM, BadInput, DiskFull, Incomplete, NightglassError
-from ..storage.durable import sync, sync_all
+from ..storage.durable import MAKE_ROOM, sync, sync_all
 
 # renameat2(2) of Linux: both paths are relative to the current folder; swap the two.
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
-AGAIN = "run the same command again"
 
 
 class Workspace(NamedTuple):
@@ -46,7 +45,7 @@ def publishing(
         lock = (destination.parent / f".{destination.name}.lock").open("a")
     except OSError as error:
         if error.errno in NO_ROOM:
-            raise DiskFull(str(destination), error.errno, f"make room and {AGAIN}") from error
+            raise DiskFull(str(destination), error.errno, MAKE_ROOM) from error
         raise BadInput(field, str(destination), f"a place that can be written ({error})") from None
     part = destination.parent / f".{destination.name}.part"
     work = Workspace(part / "catalogue", part / "progress")
@@ -74,10 +73,9 @@ def publishing(
 def _cut_off(error: OSError, destination: Path, kept: bool) -> NightglassError:
     """A write that failed, with how to go on where what is finished is kept."""
     if error.errno in NO_ROOM:
-        told = f"make room and {AGAIN}"
-        told = f"what is finished is kept: {told} to go on" if kept else told
+        told = f"what is finished is kept: {MAKE_ROOM} to go on" if kept else MAKE_ROOM
         return DiskFull(str(destination), error.errno, told)
-    told = f"; what is finished is kept: {AGAIN} to go on" if kept else ""
+    told = "; what is finished is kept: run the same command again to go on" if kept else ""
     return Incomplete(f"{destination}: could not be written ({error}){told}")
 
 

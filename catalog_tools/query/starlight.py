@@ -30,7 +30,7 @@ from ..engine.schedulers import TASKS_PER_WINDOW, LocalScheduler, Scheduler
 from ..errors import NO_ROOM, BadInput, Damaged, DiskFull
 from ..geometry.healpix_interpolation import neighbours
 from ..star_counts import EDGES_G_MAG, all_sky_count, interval_density
-from ..storage.durable import whole_file
+from ..storage.durable import MAKE_ROOM, whole_file
 from ..storage.stores import LocalStore, Unreachable
 from .query import read_leaf
 
@@ -306,8 +306,7 @@ def _write(path: Path, made: StarlightMap) -> None:
             np.savez_compressed(file, about=text, light=made.light)
     except OSError as error:
         if error.errno in NO_ROOM:
-            again = "make room and run the same command again"
-            raise DiskFull(str(path), error.errno, again) from error
+            raise DiskFull(str(path), error.errno, MAKE_ROOM) from error
         raise BadInput("catalogue", str(path.parent), f"a folder to write to ({error})") from None
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import NO_ROOM, DiskFull
 
-AGAIN = "make room and run the same command again"
+MAKE_ROOM = "make room and run the same command again"
 
 
 @contextmanager

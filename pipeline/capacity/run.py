@@ -201,6 +201,8 @@ def _is_whole(path: Path) -> bool:
         pq.read_table(path, page_checksum_verification=True)
     except FileNotFoundError:
         return False
+    except MemoryError:
+        raise  # of Arrow, too: no damage
     except (pa.ArrowException, OSError):
         path.unlink()
         return False

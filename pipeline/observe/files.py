@@ -15,7 +15,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from catalog_tools.documents import JsonObject
-from catalog_tools.storage.durable import AGAIN, full_disk_told, whole_file
+from catalog_tools.storage.durable import MAKE_ROOM, full_disk_told, whole_file
 from pipeline.errors import BadInput
 from pipeline.observe.observe import Observed
 from pipeline.store.result_files import check_ending, without_nan
@@ -49,7 +49,7 @@ def write(observed: Observed, path: Path) -> None:
     check_ending(path, ENDINGS)
     ending = path.suffix.lower()
     try:
-        with full_disk_told(path, AGAIN), whole_file(path) as own:
+        with full_disk_told(path, MAKE_ROOM), whole_file(path) as own:
             if ending == ".parquet":
                 notes = {"scene": observed.scene, "notes": json.dumps(observed.notes)}
                 pq.write_table(observed.table.replace_schema_metadata(notes), own)

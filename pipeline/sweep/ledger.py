@@ -95,6 +95,8 @@ class PointLedger:
                 point, failed = table["point"].to_numpy(), table["status"].to_numpy() == "failed"
                 if point.size and not (point.min() >= 0 and point.max() < self.size):
                     raise ValueError("points that the sweep does not have")
+            except MemoryError:
+                raise  # of Arrow, too: no damage
             except (pa.ArrowException, OSError, ValueError, KeyError) as error:
                 told = str(error).splitlines()[0].replace(str(path.absolute()), str(path))
                 self.removed.append(f"{path.name}: {told[:200]}")
@@ -162,9 +164,8 @@ class PointLedger:
 
 def _span(path: Path) -> tuple[int, int]:
     """The least and largest number of a point in a part."""
-    column: NDArray[np.int64] = pq.read_table(path.absolute(), columns=["point"])[
-        "point"
-    ].to_numpy()
+    table = pq.read_table(path.absolute(), columns=["point"])
+    column: NDArray[np.int64] = table["point"].to_numpy()
     return int(column.min()), int(column.max())
 
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pyarrow as pa
@@ -16,7 +17,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.capacity.course import make_course
-from pipeline.capacity.run import StudyOptions, _searched, run_study
+from pipeline.capacity.run import StudyOptions, _is_whole, _searched, run_study
+from pipeline.sweep.ledger import PointLedger
 from tests.command import nightglass
 
 Data = dict[str, Any]
@@ -133,3 +135,22 @@ def test_killed_at_any_change_of_its_files_it_goes_on(
     assert len(whole) >= 8
     for name in whole:
         assert pq.read_table(tmp_path / "out" / name) == pq.read_table(tmp_path / "whole" / name)
+
+
+def test_where_memory_ends_no_finished_window_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is no damage: what is there, of a study or a sweep, stays for the next run."""
+    window, part = tmp_path / "a.parquet", tmp_path / "parts" / "part-0000000.parquet"
+    part.parent.mkdir()
+    points = pa.table({"point": [0], "status": ["done"]})
+    for path in (window, part):
+        pq.write_table(points, path)
+    full = Mock(side_effect=pa.ArrowMemoryError("malloc of size 64 failed"))
+    monkeypatch.setattr(pq, "read_table", full)
+    with pytest.raises(MemoryError):
+        _is_whole(window)
+    with pytest.raises(MemoryError):
+        PointLedger(tmp_path, points.schema, 1).take_up(retry_failed=False)
+    assert window.is_file()
+    assert part.is_file()

@@ -16,7 +16,7 @@ from catalog_tools.errors import BadInput
 from catalog_tools.forms import known_forms, load_form
 from catalog_tools.info import info as facts
 from catalog_tools.query import query
-from catalog_tools.storage.durable import AGAIN, full_disk_told, whole_file
+from catalog_tools.storage.durable import MAKE_ROOM, full_disk_told, whole_file
 from pipeline.commands.catalog.shared import CataloguePlace, note, numbers
 from pipeline.commands.options import Json, print_mapping
 from pipeline.errors import check_new
@@ -94,7 +94,7 @@ def _write_table(rows: Any, output: Path | None) -> None:
     check_new(output)
     if output.suffix not in (".csv", ".parquet"):
         raise BadInput("-o", str(output), "a path ending in .csv or .parquet")
-    with full_disk_told(output, AGAIN), whole_file(output) as own:
+    with full_disk_told(output, MAKE_ROOM), whole_file(output) as own:
         if output.suffix == ".csv":
             pyarrow.csv.write_csv(rows, own)
         else:
