@@ -53,7 +53,7 @@ def engines(bench: Bench) -> Iterator[ProbeResult]:
         "boresight_dec_deg": DEC_DEG,
         "rate_ra_arcsec_s": 72.0,
         "rate_dec_arcsec_s": 96.0,
-        "roll_rate_deg_s": 0.02,
+        "roll_rate_deg_s": 0.01,
     }
     dim = {"sensor.aperture_m": 0.05}  # so that there are stars which share a streak
     streaks = scene(dim | {"stars": stars, "pointing": turn, "sensor.psf": AIRY})
