@@ -18,6 +18,7 @@ from catalog_tools.columns import INCOMING
 from catalog_tools.errors import BadInput, Damaged
 from catalog_tools.forms import IdRule, Layout, load_form
 from catalog_tools.readers import detect_form, kind_of, read_tables
+from catalog_tools.readers.bytes_in import bytes_of
 
 DR2 = load_form("gaia_dr2")
 HEAD = "source_id,ra,dec,phot_g_mean_mag"
@@ -129,6 +130,17 @@ def test_what_follows_a_gzip_stream_is_never_ignored(tmp_path, few, tail):
     path.write_bytes(path.read_bytes() + tail)
     with pytest.raises(Damaged, match=r"tail\.csv\.gz.*gzip stream"):
         read(path)
+
+
+@pytest.mark.parametrize("rest", ["nothing", "the file"])
+def test_zeros_at_the_beginning_of_a_gzip_are_damage(tmp_path, few, rest):
+    """A download whose beginning, or all of it, was never written: no padding stands there."""
+    path = write_csv(tmp_path / "hole.csv.gz", few)
+    path.write_bytes(b"\0" * 4096 + (path.read_bytes() if rest == "the file" else b""))
+    with pytest.raises(Damaged, match=r"hole\.csv\.gz.*gzip stream"):
+        list(bytes_of(path, zipped=True))
+    with pytest.raises((BadInput, Damaged), match=r"hole\.csv\.gz"):
+        read(path, DR2)
 
 
 def test_damaged_gzip_never_reads_as_whole(tmp_path, few):
