@@ -190,6 +190,22 @@ def test_a_cell_is_a_pure_function():
     assert stars_in_cell(sky, interval, cell).equals(stars_in_cell(sky, interval, cell))
 
 
+@pytest.mark.parametrize("around", [0, 1])
+def test_a_shallow_field_takes_no_star_from_what_lies_around_it(around):
+    """Within the sky, and within a deeper field, whichever of the two is named first."""
+    deep, shallow = DeepField(10.0, 20.0, 2.0, 14.0), DeepField(10.0, 20.0, 1.0, 6.0)
+    both = (deep, shallow) if around == 0 else (shallow, deep)
+    v = directions(np.array([10.0, 10.0, 10.0]), np.array([20.0, 21.5, 40.0]))
+    for g_mag, by_sky, by_both in (
+        (7.0, [True, True, True], [True, True, True]),
+        (9.0, [False, False, False], [True, True, False]),
+        (14.5, [False, False, False], [False, False, False]),
+    ):
+        g = np.full(3, g_mag)
+        assert Sky(5, 8.0, (shallow,)).wanted(v, g).tolist() == by_sky
+        assert Sky(5, 8.0, both).wanted(v, g).tolist() == by_both
+
+
 def test_limits_are_included():
     """The poles, RA of 0 and 360 degrees, 30 degrees of radius, G of 21; G of 16 for the sky."""
     edges = [DeepField(0.0, -90.0, 30.0, 21.0), DeepField(360.0, 90.0, 1e-9, 21.0)]
