@@ -102,6 +102,17 @@ def test_stated_error_of_few_rows_holds(rows: tuple[float, ...], hermite: bool) 
     assert nodes == (2 if len(time) == 3 else 4)
 
 
+def test_only_the_rows_asked_for_are_judged() -> None:
+    """Even motion through two rows each, one row 10 m off: its neighbours are missed by half."""
+    time = np.arange(7) * 60.0
+    place = 7500.0 * time[:, None] * [1.0, 0.0, 0.0]
+    place[3] += [0.0, 0.0, 10.0]
+    for row, missed_m in enumerate((np.nan, 0.0, 5.0, 10.0, 5.0, 0.0, np.nan)):
+        found = left_out_error(time, place, None, 2, np.arange(7) == row)
+        assert found == pytest.approx(missed_m, abs=1e-6, nan_ok=True), row
+    assert left_out_error(time, place, None, 2) == pytest.approx(10.0)
+
+
 def test_rows_are_met() -> None:
     time = np.arange(0.0, 1200.0, 60.0)
     place, speed = orbit(time)
