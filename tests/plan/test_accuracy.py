@@ -120,6 +120,9 @@ def test_every_part_is_counted(scene: Any) -> None:
     assert parts(airy) == 5.25  # and the wings' grid and end, the wavelengths
     with_sky = scene({"sensor.psf": {"kind": "airy"}, "background": {"zodiacal": True}})
     assert parts(with_sky) == 5.5
+    at = {"mode": "sidereal", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0}
+    away = {"dwells": [{}, {"pointing": at, "slew": {"duration_s": 8.0}}]}  # no shared stars
+    assert parts(scene({"sensor.psf": {"kind": "gaussian", "sigma_px": 1.0}} | away)) == 2.0
 
 
 def test_without_photon_noise_an_approximation_may_err_by_a_quarter(scene: Any) -> None:
