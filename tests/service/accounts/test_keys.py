@@ -172,6 +172,19 @@ def test_limits_of_a_key_and_its_line_in_the_audit(engine: Any) -> None:
     assert lines[1][:4] == ("red", "key:bob", "key.revoke", made[3:15])
 
 
+def test_a_key_is_revoked_once(engine: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A later try changes neither the moment nor who did it."""
+    create_key(engine, "red")
+    [row] = list_keys(engine)
+    for now, who in ((1000.0, "key:ann"), (2000.0, "key:bob")):
+        monkeypatch.setattr("service.accounts.keys.now_s", lambda _, now=now: now)
+        revoke_key(engine, row["id"], who)
+    assert list_keys(engine)[0]["revoked_s"] == 1000.0
+    with engine.connect() as db:
+        query = sa.select(audit.c.actor).where(audit.c.action == "key.revoke")
+        assert list(db.execute(query).scalars()) == ["key:ann"]
+
+
 def test_the_command(tmp_path: Path) -> None:
     def run(*words: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "pipeline", "keys", *words, "--home", str(tmp_path)]

@@ -167,6 +167,23 @@ def test_listing_by_cursor_and_phase(store: Queue) -> None:
     assert store.counts()[Phase.QUEUED] == 3
 
 
+def test_a_job_that_is_deleted_while_it_runs_is_cleared_away_after_it_ended(store: Queue) -> None:
+    """Until then its worker writes what is to be removed, and its record takes the outcome."""
+    waits, runs = queue(store), queue(store)
+    store.delete(waits.id)
+    assert store.deleted() == [waits.id]
+    store.forget(waits.id)
+    job = store.claim()
+    assert job is not None
+    assert job.id == runs.id
+    store.delete(runs.id)
+    assert store.deleted() == []
+    store.finish(job, Phase.ABORTED)
+    assert store.deleted() == [runs.id]
+    store.forget(runs.id)
+    assert store.deleted() == []
+
+
 def test_a_database_of_another_format_is_refused(tmp_path: Path) -> None:
     import sqlite3
 
