@@ -10,7 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 from astropy.coordinates import SkyCoord
 from scipy.special import erf, erfinv
+from typer.testing import CliRunner
 
+from pipeline.cli import app
 from pipeline.errors import BadInput
 from pipeline.importers.passes import Pass, zenith_pass
 from pipeline.importers.placing import electrons_of_sunlight, far_observer
@@ -376,6 +378,16 @@ def test_dynamic_satsim_renders(shared_data, tmp_path):
     scene = load_scene(tmp_path / "scene.yaml", ["exposure.frames=2"])
     report = render(scene, tmp_path / "run")
     assert report["truth_rows"]["targets"] == 2 * len(scene.targets)
+
+
+@pytest.mark.parametrize(("words", "seed"), [((), 31), (("--seed", "0"), 0)])
+def test_the_command_takes_the_seed_of_a_simsit_file_unless_one_is_given(
+    published, tmp_path, words, seed
+):
+    file, made = published / "peers" / "simsit.yaml", tmp_path / "scene.yaml"
+    done = CliRunner().invoke(app, ["import", "simsit", str(file), "-o", str(made), *words])
+    assert done.exit_code == 0, done.output
+    assert load_scene(made).seed == seed
 
 
 def test_own_simsit_renders(published, tmp_path):

@@ -417,7 +417,7 @@ REFUSALS = {
 @pytest.mark.parametrize("told", REFUSALS)
 def test_what_sbatch_refuses_is_told_at_once(with_slurm, told):
     said = f"sbatch: error: a thing\nsbatch: error: Batch job submission failed: {told}"
-    with_slurm(sbatch=f"#!/bin/sh\necho '{said}' >&2\nexit 1\n")
+    folder = with_slurm(sbatch=f"#!/bin/sh\necho '{said}' >&2\nexit 1\n")
     kind, words = REFUSALS[told]
     with (
         dask.config.set({"jobqueue.slurm": slurm_settings()}),
@@ -426,6 +426,8 @@ def test_what_sbatch_refuses_is_told_at_once(with_slurm, told):
     ):
         pass
     assert "\n" not in str(error.value)
+    # keys of the run lie in it: the user's alone
+    assert (folder / "certificates").stat().st_mode & 0o077 == 0
 
 
 def test_a_machine_without_slurm_is_told(with_slurm, tmp_path, monkeypatch):
