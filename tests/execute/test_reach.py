@@ -102,6 +102,32 @@ def test_limits_blinding_star_fails_no_tile(catalogue, tmp_path):
     assert mean.min() >= 0
 
 
+def test_tiles_far_from_the_middle_of_a_long_streak_have_its_star(catalogue, tmp_path):
+    """A streak of 900 px through four tiles: the outer ones are far from where it is halfway."""
+    scene = {
+        "schema": "nightglass/scene/1", "name": "streak", "epoch": "2015-07-02T00:00:00Z",
+        "observer": {"kind": "fixed", "position_au": [1.0, 0, 0]}, "accept": ["sun"],
+        "sensor": {
+            "shape": [512, 1024], "pixel_pitch_um": 9.0, "focal_length_m": 1.0, "aperture_m": 0.2,
+            "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+            "psf": {"kind": "gaussian", "sigma_px": 1.0},
+        },
+        "pointing": {
+            "mode": "rate", "boresight_ra_deg": 269.454, "boresight_dec_deg": 4.66828,
+            "rate_ra_arcsec_s": 170.0, "rate_dec_arcsec_s": 0.0,
+        },
+        "exposure": {"integration_s": 10.0}, "stars": {"catalogue": catalogue},
+        "output": {"layers": ["stars_e"]},
+    }  # fmt: skip
+    drawn = []
+    for columns in (1024, 256):
+        scene["output"]["tile_shape"] = [512, columns]
+        path = tmp_path / str(columns)
+        render(parse_scene(scene), path, Options("synchronous"))
+        drawn.append(open_cube(path)["stars_e"].values[0])
+    assert np.array_equal(*drawn)
+
+
 @pytest.mark.parametrize("upright", [False, True])
 @pytest.mark.parametrize("far_px", [90.0, -90.0])
 def test_a_tile_that_only_the_far_end_of_a_streak_lights(upright, far_px):
