@@ -127,6 +127,7 @@ def test_a_streak_at_mid_exposure_is_within_its_bound(catalogue):
     np.testing.assert_allclose(found, along, rtol=1e-9)
     off = np.abs(along / along[:, [g.middle]] - 1.0).max()
     assert 1e-3 < off <= 1.0001 * said.bound < 0.01
+    assert said.bound < 1.2 * off, (said.bound, off)
     assert np.abs(along.mean(axis=1) / along[:, g.middle] - 1.0).max() < 0.1 * said.bound
 
 

@@ -127,8 +127,10 @@ def test_against_every_lamp_traced() -> None:
         assert off < 0.06 * ours  # a bound: the last change of 64 parts
         # beside much sunlight less is needed: shadows from few lamps, still within the share
         much = 50.0 * ours
-        rough, _ = wide_lamp_intensity(body, surfaces, lamp, observer, 4e-3, much)
+        rough, room = wide_lamp_intensity(body, surfaces, lamp, observer, 4e-3, much)
         assert rough == pytest.approx(sum(every), abs=4e-3 * (much + ours))
+        # each lamp's shadows are traced to 2% of its light then: that is told, too
+        assert room > 0.0198 * sum(bare)
 
 
 def test_seen_areas_against_light_from_the_observer() -> None:
