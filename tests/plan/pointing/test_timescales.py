@@ -288,6 +288,23 @@ def test_flashes_between_the_most_nodes_there_are() -> None:
     assert 1.2e-4 <= told < 1.0
 
 
+def test_of_several_flashes_the_one_that_moves_most_is_told() -> None:
+    """One is tracked and stands still, one goes the other way round the Earth."""
+    times = [-10.0, 0.4951, 0.4961, 0.4971, 10.0]
+    curve = {"kind": "light_curve", "times_s": times, "intensities_m2_sr": [1, 1, 30, 1, 1]}
+    two = [copy.deepcopy(SCENE["targets"][0]) for _ in range(2)]
+    two[1]["name"] = "other"
+    two[1]["orbit"]["velocity_m_s"] = [-3057.8229, -321.3901, 0.0]
+    made = scene(targets=[target | {"body": curve} for target in two])
+    g = plan_geometry(made, np.array([0]), 0.0)
+    steps_px = np.hypot(np.diff(g.target_x_px), np.diff(g.target_y_px)).max(axis=(1, 2))
+    assert steps_px[0] < 1e-5 < 0.02 < steps_px[1]
+    near = ([True, True], [True, False], [False, True])
+    both, still, moving = (light_off(made, g, np.array(which)[:, None]) for which in near)
+    assert 5.0 * still < moving
+    assert both == pytest.approx(moving, rel=0.01)
+
+
 @pytest.mark.parametrize("turns", [128, 256, 277.3])
 def test_a_plate_that_turns_as_often_as_there_are_nodes(turns: float) -> None:
     """All the nodes meet one attitude; the light is the mean over a turn."""
