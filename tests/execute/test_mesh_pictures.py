@@ -10,10 +10,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.execute.mesh_bodies import Pose, picture_of
+from pipeline.execute.sources import place_targets
 from pipeline.inputs.targets.meshes import gather_mesh
 from pipeline.physics.drawing.pictures import cell_error
 from pipeline.physics.psf.pupil import Blur, Gaussian
-from pipeline.route.prepare import plan_scene
+from pipeline.physics.targets.disc import Picture
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.route.prepare import plan_scene, prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.spec.targets.mesh import MeshBody
@@ -39,14 +42,19 @@ def mesh(path: Path, scale: str = "m", **more: Any) -> dict[str, Any]:
     return {"kind": "mesh", "path": str(path), "unit": scale, "surface": surface} | more
 
 
-def drawn(tmp_path: Path, body: dict[str, Any], **more: Any) -> tuple[np.ndarray, dict[str, Any]]:
+def large(body: dict[str, Any]) -> dict[str, Any]:
+    """A scene of a body of which 0.04 m are a pixel."""
     data = scene(400.0, PSF).as_dict()
     data["sensor"]["shape"] = [64, 64]
     data["sensor"] |= {"pixel_pitch_um": 4.0, "focal_length_m": 100.0, "aperture_m": 2.0}
     data["targets"][0]["orbit"]["position_m"] = [42_164e3, 1e6, 0.0]  # 0.04 m a pixel
     data["targets"][0]["body"] = body
     data["accuracy"]["check_cells"] = 1
-    data |= more
+    return data
+
+
+def drawn(tmp_path: Path, body: dict[str, Any], **more: Any) -> tuple[np.ndarray, dict[str, Any]]:
+    data = large(body) | more
     render(parse_scene(data), tmp_path, Options("synchronous"))
     truth = pq.read_table(tmp_path / "truth" / "targets.parquet").to_pylist()[0]
     return open_cube(tmp_path)["targets_e"].values[0].astype(float), truth
@@ -63,6 +71,20 @@ def test_a_mesh_of_a_sphere_is_drawn_as_the_sphere(files: Path, tmp_path: Path) 
     assert found.sum() == pytest.approx(truth["electrons"], rel=2e-3)
     assert found.sum() == pytest.approx(wanted.sum(), rel=2e-3)
     assert np.abs(found - wanted).max() < 0.01 * wanted.max()
+
+
+def test_a_picture_is_as_fine_as_the_light_of_its_body_asks(files: Path) -> None:
+    """A pixel errs by no more electrons than the plan allows, where 512 cells across do for it."""
+    turned = {"kind": "inertial", "quaternion": [0.9, 0.1, 0.05, -0.4]}
+    for body in (mesh(files / "flag.stl", attitude=turned), mesh(files / "ball.stl")):
+        data = large(body)
+        data["sensor"]["aperture_m"] = 0.1  # some 2,000 electrons
+        plan = prepare(parse_scene(data)).plan
+        g = plan_geometry(plan.scene, np.zeros(1, np.int64), plan.dut1_s)
+        (target,) = place_targets(plan, g)
+        assert isinstance(target.body, Picture)
+        errs_e = cell_error(plan.responses.blur, target.body) * target.light_e
+        assert errs_e <= plan.responses.budget_e < 0.2
 
 
 def test_the_picture_is_not_mirrored(files: Path, tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ from pipeline.plan.pointing.geometry import camera_of, plan_geometry
 from pipeline.plan.response.decisions import core_ends
 from pipeline.plan.response.responses import ResponsePlan, cut_share, plan_responses
 from pipeline.plan.stars.faint import peak_share
-from pipeline.plan.tiles import plan_tiles, tile_shape
+from pipeline.plan.tiles import distance_px, plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
 from tests.plans import plan_from
 
@@ -84,6 +84,14 @@ def test_tiles_cover_each_pixel_once(scene: Make, shape: list[int]) -> None:
         count[t.y0 : t.y0 + t.rows, t.x0 : t.x0 + t.columns] += 1
         assert (t.y0 % shape[0], t.x0 % shape[1]) == (0, 0)
     assert (count == 1).all()
+
+
+def test_distances_are_to_the_centres_of_a_tiles_outer_pixels() -> None:
+    """Of columns 20 to 27 and rows 10 to 14: inside, a pixel off each side, beyond a corner."""
+    x = [20.0, 27.0, 23.5, 19.0, 28.0, 23.0, 23.0, 30.0, 16.0, 27.5]
+    y = [10.0, 14.0, 12.2, 12.0, 12.0, 9.0, 15.0, 18.0, 7.0, 14.0]
+    found = distance_px(np.array(x), np.array(y), y0=10, x0=20, rows=5, columns=8)
+    assert found.tolist() == [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 5.0, 5.0, 0.5]
 
 
 def test_default_tiles_of_odd_frames(scene: Make) -> None:
