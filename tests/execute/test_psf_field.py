@@ -198,6 +198,21 @@ def test_products_have_small_errors_and_the_same_bits(psfs, catalogue, tmp_path,
     assert (np.abs(images[0] - images[1]) / noise).max() < 0.05
 
 
+def test_crowds_at_the_edges_of_a_block_take_the_responses_beyond(catalogue, monkeypatch):
+    """Blocks that end 12 px beyond the middle place of three; in stamps each of four has a part."""
+    nine = [[{"kind": "gaussian", "sigma_px": 0.9 + 0.2 * i + 0.1 * j} for j in range(3)]
+            for i in range(3)]  # fmt: skip
+    stamps = planned(catalogue, field(nine))
+    monkeypatch.setattr(pipeline.plan.response.responses, "_spectral_from", lambda *_: 1)
+    plan, g = planned(catalogue, field(nine))
+    for start, at in ((0, 168.0), (148, 151.0)):
+        stars = stars_at([at], [at], [5e3])
+        wanted = drawn(stamps, stars)[start : start + 172, start : start + 172]
+        block = render_block(plan, g, Tile(0, 0, start, start, 172, 172), [stars])
+        assert block.in_crowd(stars.light_e).all()
+        assert np.abs(block.crowd_e - wanted).max() < 1e-3 * wanted.max()
+
+
 def test_bodies_and_targets_are_drawn_by_the_responses_around_them(tmp_path):
     from tests.execute import test_extended as discs  # the scene of a resolved sphere
 
