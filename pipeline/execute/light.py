@@ -275,17 +275,18 @@ def _draw_piece(
 
     Stars so bright that the table's own rounding would show are drawn at their exact places too.
     """
-    core, budget_e = plan.responses.classes[k], plan.responses.budget_e
+    core = plan.responses.classes[k]
+    most_e = min(plan.responses.budget_e, plan.responses.star_error_e)
     exact = np.ones(len(x), bool)
     if phases and len(x):
         parts = [
             (table_of(blur, core.radius_px, piece, phases), mine, part)
             for blur, mine, part in plan.responses.parts(x, y, light)
         ]
-        exact = np.abs(light) * max(table.cubic_error for table, _, _ in parts) > budget_e
+        exact = np.abs(light) * max(table.cubic_error for table, _, _ in parts) > most_e
         for table, mine, part in parts:
             keep = ~exact[mine]
-            linear = np.abs(light[mine]) * table.linear_error <= (0.0 if cubic else budget_e)
+            linear = np.abs(light[mine]) * table.linear_error <= (0.0 if cubic else most_e)
             place = x[mine][keep], y[mine][keep], part[keep]
             draw_stamps(image, (tile.y0, tile.x0), table, *place, ~linear[keep])
     draw_exact(plan, image, tile, k, piece, x[exact], y[exact], light[exact])

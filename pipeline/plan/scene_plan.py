@@ -16,6 +16,7 @@ from pipeline.plan.response.sources import (
     SourceBounds,
     bounds_of,
     known_of_frames,
+    within_crowds,
 )
 from pipeline.plan.rule import PlanBasis
 from pipeline.plan.stars.engines import choose_engines
@@ -44,6 +45,8 @@ def make_plan(
         engines = choose_engines(resolved, g, stars.counts)
         responses = engines.responses if engines else responses
     known = _all_sources(scene, stars, targets)
+    if known is not None:
+        responses = within_crowds(responses, known[0])
     bounds = bounds_of(responses, *known) if known and responses.classes else SourceBounds()
     basis = PlanBasis(resolved, g, stars, engines, bounds.errors_e, bounds.brightest_e)
     decisions = tuple(d for rule in LEDGER for d in rule.decide(basis))

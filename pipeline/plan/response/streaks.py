@@ -149,8 +149,8 @@ class StreakPlan:
 
     def errors_e(self, light_e: Array, points_e: Array) -> Array:
         """What each of the stars there are (n,) errs by, as `error_e`: of one shape by its light;
-        too bright for that by one of more pieces, or by merging its own path, and by the table
-        of its points [e-].
+        too bright for that by one of more pieces, or by merging its own path (the brightest by the
+        rounding of places), and by the table of its points [e-].
 
         points_e : what the table that serves each errs by, of all its light; 0 without one
         """
@@ -160,7 +160,12 @@ class StreakPlan:
         per_px = np.minimum(light_e / shortest, self.own_from_e_px)
         hidden = self.photons and not self.still
         error_e = self.off_px * per_px / np.sqrt(1.0 + hidden * per_px / self.floor_e**2)
-        bright_e = 2.0 * SHOWN * self.budget_e + np.minimum(points_e, POINTS * self.budget_e)
+        rounded_e = (
+            FINEST_MERGE_PX * light_e / np.sqrt(1.0 + self.photons * light_e / self.floor_e**2)
+        )
+        shown_e = SHOWN * self.budget_e
+        bright_e = shown_e + np.maximum(shown_e, rounded_e)
+        bright_e = bright_e + np.minimum(points_e, POINTS * self.budget_e)
         if self.finer is not None:
             bright_e = np.maximum(bright_e, self.finer.errors_e(light_e, points_e))
         error_e = np.where(light_e > self.own_from_e_px * longest, bright_e, error_e)

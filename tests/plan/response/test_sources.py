@@ -96,6 +96,15 @@ def test_what_has_no_noise_of_its_own_hides_nothing() -> None:
         assert quiet.errors_e(light, np.zeros(1))[0] == pytest.approx(quiet.off_px * per_px)
 
 
+def test_the_brightest_err_by_what_places_are_rounded_to() -> None:
+    """1e-12 px of their light, which its noise hides; a star of 1e12 e- by 1 e-."""
+    light, none = np.array([1e12]), np.zeros(1)
+    quiet = replace(streaks(photons=False), budget_e=10.0, own_from_e_px=1e3)
+    assert quiet.errors_e(light, none)[0] == pytest.approx(SHOWN * 10.0 + 1.0)
+    noisy = replace(quiet, photons=True)
+    assert noisy.errors_e(light, none)[0] == pytest.approx(2.0 * SHOWN * 10.0)
+
+
 def test_wings_err_by_their_class_and_together() -> None:
     r = responses()
     for light_e, error in ((9e2, 1e-4), (2e3, 1e-6), (2e5, 0.0)):
