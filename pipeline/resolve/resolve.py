@@ -43,6 +43,7 @@ from pipeline.plan.sensor.detector import (
     quieter_e2,
     typical_read_noise_e,
 )
+from pipeline.plan.sensor.rolling import check_rolling
 from pipeline.plan.sky.doubts import sky_doubts
 from pipeline.plan.stars.brightest import brightest_target_e
 from pipeline.plan.stars.field_stars import FieldStars
@@ -111,7 +112,7 @@ def resolve(asked: Scene) -> Resolved:
     band = gather_response(scene)
     dut1_s, of_time = gather_dut1_s(*parse_utc(scene.epoch))
     light = gather_band_light(scene, *band)
-    check_motion(scene)  # before paths are followed that it would bend beyond all measure
+    _check_course(scene)
     g, geometry_s = _timed_geometry(scene, dut1_s)
     facts = gather_facts(
         scene,
@@ -241,6 +242,13 @@ def _cut_off(resolved: ResolvedScene) -> list[str]:
         f"{frame} and read 0: the mean is {more_e:.3g} e- too high, the noise too low; a bias of "
         "several times the noise avoids it"
     ]
+
+
+def _check_course(scene: Scene) -> None:
+    """Refuse random motion that bends paths beyond all measure, or whose course a rolling shutter
+    would need, before any path is followed."""
+    check_motion(scene)
+    check_rolling(scene)
 
 
 def _timed_geometry(scene: Scene, dut1_s: float) -> tuple[Geometry, float]:

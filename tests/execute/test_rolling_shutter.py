@@ -18,6 +18,7 @@ from pipeline.physics.motion.rolling import exposed_longer, rolled, rolled_sourc
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry
 from pipeline.plan.pointing.star_paths import excursions_px, star_paths
 from pipeline.plan.timing import dwell_plans
+from pipeline.resolve import resolve
 from pipeline.route.prepare import plan_scene, prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
@@ -210,7 +211,9 @@ def test_limits_light_and_what_is_not_there() -> None:
         ({"line_s": LINE_S, "jitter": True}, "without random motion"),
     ],
 )
-def test_refusals(change: dict[str, Any], words: str, catalogue: str) -> None:
+def test_refusals(
+    change: dict[str, Any], words: str, catalogue: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made = scene(catalogue, 12.0, {"line_s": change["line_s"]})
     if "jitter" in change:
         data = made.model_dump(mode="json", exclude_none=True, by_alias=True)
@@ -218,6 +221,7 @@ def test_refusals(change: dict[str, Any], words: str, catalogue: str) -> None:
             "jitter": [{"kind": "white", "rms_arcsec": 1.0, "low_hz": 0.01, "high_hz": 1.0}]
         }
         made = parse_scene(data)
+        monkeypatch.setattr(resolve, "plan_geometry", None)  # refused before paths are followed
     with pytest.raises(BadInput, match=words):
         plan_scene(made)
 

@@ -55,7 +55,7 @@ class Radial(ABC):
 
     def band_limit(self, floor: float) -> float:
         """Frequency [cycles/px] beyond which the transfer function is below `floor`."""
-        return falling_to(self.radial, floor, 1.0 / self.scale_px)
+        return _band_limit(self, floor)
 
     def light_beyond(self, radius_px: float) -> float:
         """Fraction of all light farther than `radius_px`, from the transfer function.
@@ -75,6 +75,11 @@ class Radial(ABC):
 
     def wing_fall(self, radius_px: float) -> float:  # noqa: ARG002 - the same at all radii
         return 4.0
+
+
+@lru_cache(maxsize=256)
+def _band_limit(optics: Radial, floor: float) -> float:
+    return falling_to(optics.radial, floor, 1.0 / optics.scale_px)
 
 
 def falling_to(mtf: Mtf, floor: float, start: float) -> float:

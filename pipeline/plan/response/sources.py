@@ -165,6 +165,8 @@ def of_stars(r: ResponsePlan, s: KnownSources) -> SourceBounds:
     points = np.array([*(c.point_error for c in r.classes), 0.0])
     points_e = points[first_above(s.light_e, [c.brightest_e for c in r.classes])] * s.light_e
     errors["common_streak"] = _within(r, cell, r.streaks.errors_e(s.light_e, points_e))
+    beyond_e = np.maximum(0.0, r.streaks.rounded_e(s.light_e) - r.budget_e)
+    errors["common_streak"] += _together(cell, beyond_e)
     if r.products and not r.spectral_from:
         errors["phase_interpolation"] = _within(r, cell, _products_e(r, s.light_e))
     return SourceBounds(float(s.light_e.max(initial=0.0)), errors)

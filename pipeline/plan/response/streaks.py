@@ -160,16 +160,18 @@ class StreakPlan:
         per_px = np.minimum(light_e / shortest, self.own_from_e_px)
         hidden = self.photons and not self.still
         error_e = self.off_px * per_px / np.sqrt(1.0 + hidden * per_px / self.floor_e**2)
-        rounded_e = (
-            FINEST_MERGE_PX * light_e / np.sqrt(1.0 + self.photons * light_e / self.floor_e**2)
-        )
         shown_e = SHOWN * self.budget_e
-        bright_e = shown_e + np.maximum(shown_e, rounded_e)
+        bright_e = shown_e + np.maximum(shown_e, self.rounded_e(light_e))
         bright_e = bright_e + np.minimum(points_e, POINTS * self.budget_e)
         if self.finer is not None:
             bright_e = np.maximum(bright_e, self.finer.errors_e(light_e, points_e))
         error_e = np.where(light_e > self.own_from_e_px * longest, bright_e, error_e)
         return np.minimum(error_e, self.budget_e)
+
+    def rounded_e(self, light_e: Array) -> Array:
+        """What stars (n,) err by as places along their own paths are rounded [e-]; 0 of points."""
+        hidden = np.sqrt(1.0 + self.photons * light_e / self.floor_e**2)
+        return FINEST_MERGE_PX * bool(self.off_px) * light_e / hidden
 
 
 def plan_streaks(

@@ -27,13 +27,11 @@ MOST_SHEAR = 0.05  # px that a source may move in the time from one row to the n
 MOST_OFF_PX = 0.1  # that the parabola of its motion may be off at the last row
 
 
-def rolling_shutter(
-    scene: Scene, r: RollingShutter, ends: Geometry, dut1_s: float
-) -> tuple[str, float]:
-    """What a rolling shutter does to a scene, and how far places are off by it [px].
-
-    BadInput where it cannot be drawn rightly.
-    """
+def check_rolling(scene: Scene) -> None:
+    """BadInput where a scene holds what no rolling shutter can be drawn with."""
+    detector = scene.sensor.detector
+    if detector is None or not isinstance(detector.readout, RollingShutter):
+        return
     if motion_plan(scene) is not None:
         raise BadInput(
             "sensor.detector.readout",
@@ -48,6 +46,15 @@ def rolling_shutter(
             "a readout without rows in turn, or targets of their own: populations are screened for "
             "the time of the first row",
         )
+
+
+def rolling_shutter(
+    scene: Scene, r: RollingShutter, ends: Geometry, dut1_s: float
+) -> tuple[str, float]:
+    """What a rolling shutter does to a scene, and how far places are off by it [px].
+
+    BadInput where it cannot be drawn rightly.
+    """
     lit, readout_s = _exposed(_of_every_dwell(scene, ends, dut1_s)), last_row_late_s(scene)
     speed = max((_fastest_px_s(scene, g) for g in lit), default=0.0)
     shear = speed * r.line_s

@@ -103,6 +103,10 @@ def test_the_brightest_err_by_what_places_are_rounded_to() -> None:
     assert quiet.errors_e(light, none)[0] == pytest.approx(SHOWN * 10.0 + 1.0)
     noisy = replace(quiet, photons=True)
     assert noisy.errors_e(light, none)[0] == pytest.approx(2.0 * SHOWN * 10.0)
+    r = responses(streaks=replace(quiet, budget_e=BUDGET_E))
+    assert of_stars(r, stars(r, 1e12, 1e12)).errors_e["common_streak"] == pytest.approx(2.0)
+    noisy_r = responses(streaks=replace(noisy, budget_e=BUDGET_E))
+    assert of_stars(noisy_r, stars(r, 1e12)).errors_e["common_streak"] <= BUDGET_E
 
 
 def test_wings_err_by_their_class_and_together() -> None:
