@@ -32,6 +32,7 @@ def shared(keep_server: Callable[..., Any]) -> Any:
     server = keep_server(**{f"NIGHTGLASS_{name}": str(most) for name, most in LIMITS.items()})
     red, blue = server.make_keys("red", "blue")
     server.keys = {"red": bearer(red), "blue": bearer(blue)}
+    assert plan(server, "blue", copy.deepcopy(SCENE), 60.0) == 200  # imported and compiled by now
     return server
 
 
