@@ -19,6 +19,11 @@ phot_bp_mean_mag,phot_rp_mean_mag
 4472832130942575872,2015.5,269.45402305,4.66828815,547.45,-802.8,10362.5,-110.5,9.5,9.5,9.5
 """
 C = 299_792_458.0
+SENSOR = {
+    "pixel_pitch_um": 9.0, "focal_length_m": 1.0, "aperture_m": 0.2,
+    "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+    "psf": {"kind": "gaussian", "sigma_px": 1.0},
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +48,17 @@ def star_at(position, velocity, epoch) -> tuple[float, float]:
     return float(np.degrees(lon) % 360), float(np.degrees(lat))
 
 
+def in_tiles(scene, folder, *shapes) -> list[np.ndarray]:
+    """The light of the stars drawn in tiles of each shape, each in a folder by its columns."""
+    drawn = []
+    for shape in shapes:
+        scene["output"]["tile_shape"] = shape
+        path = folder / str(shape[1])
+        render(parse_scene(scene), path, Options("synchronous"))
+        drawn.append(open_cube(path)["stars_e"].values)
+    return drawn
+
+
 @pytest.mark.parametrize(
     ("epoch", "position", "velocity"),
     [
@@ -58,22 +74,13 @@ def test_same_star_in_every_tile_shape(epoch, position, velocity, catalogue, tmp
     scene = {
         "schema": "nightglass/scene/1", "name": "reach", "epoch": epoch, "accept": ["sun"],
         "observer": {"kind": "fixed", "position_au": position, "velocity_m_s": velocity},
-        "sensor": {
-            "shape": [512, 512], "pixel_pitch_um": 9.0, "focal_length_m": 1.0, "aperture_m": 0.2,
-            "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
-            "psf": {"kind": "gaussian", "sigma_px": 1.0},
-        },
+        "sensor": SENSOR | {"shape": [512, 512]},
         "pointing": {"mode": "sidereal", "boresight_ra_deg": ra, "boresight_dec_deg": dec + 0.02},
         "exposure": {"integration_s": 1.0}, "stars": {"catalogue": catalogue},
         "output": {"layers": ["stars_e"]},
     }  # fmt: skip
-    drawn = []
-    for side in (512, 256):
-        scene["output"]["tile_shape"] = [side, side]
-        path = tmp_path / str(side)
-        render(parse_scene(scene), path, Options("synchronous"))
-        drawn.append(open_cube(path)["stars_e"].values)
-    truth = pq.read_table(path / "truth" / "stars.parquet")
+    drawn = in_tiles(scene, tmp_path, [512, 512], [256, 256])
+    truth = pq.read_table(tmp_path / "256" / "truth" / "stars.parquet")
     assert truth["in_frame"].to_pylist() == [True]
     assert np.array_equal(*drawn)
     assert drawn[0].sum(dtype=float) == pytest.approx(truth["electrons"][0].as_py(), rel=1e-6)
@@ -107,11 +114,7 @@ def test_tiles_far_from_the_middle_of_a_long_streak_have_its_star(catalogue, tmp
     scene = {
         "schema": "nightglass/scene/1", "name": "streak", "epoch": "2015-07-02T00:00:00Z",
         "observer": {"kind": "fixed", "position_au": [1.0, 0, 0]}, "accept": ["sun"],
-        "sensor": {
-            "shape": [512, 1024], "pixel_pitch_um": 9.0, "focal_length_m": 1.0, "aperture_m": 0.2,
-            "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
-            "psf": {"kind": "gaussian", "sigma_px": 1.0},
-        },
+        "sensor": SENSOR | {"shape": [512, 1024]},
         "pointing": {
             "mode": "rate", "boresight_ra_deg": 269.454, "boresight_dec_deg": 4.66828,
             "rate_ra_arcsec_s": 170.0, "rate_dec_arcsec_s": 0.0,
@@ -119,13 +122,7 @@ def test_tiles_far_from_the_middle_of_a_long_streak_have_its_star(catalogue, tmp
         "exposure": {"integration_s": 10.0}, "stars": {"catalogue": catalogue},
         "output": {"layers": ["stars_e"]},
     }  # fmt: skip
-    drawn = []
-    for columns in (1024, 256):
-        scene["output"]["tile_shape"] = [512, columns]
-        path = tmp_path / str(columns)
-        render(parse_scene(scene), path, Options("synchronous"))
-        drawn.append(open_cube(path)["stars_e"].values[0])
-    assert np.array_equal(*drawn)
+    assert np.array_equal(*in_tiles(scene, tmp_path, [512, 1024], [512, 256]))
 
 
 @pytest.mark.parametrize("upright", [False, True])

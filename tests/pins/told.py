@@ -58,7 +58,7 @@ def alike(pinned: str, found: str, relative: float = RELATIVE, noise: float = 0.
 def _near(a: str, b: str, relative: float, noise: float) -> bool:
     """Whether two numbers as written differ by rounding alone; whole numbers must be the same,
     but for the sign of a 0."""
-    if float(a) == float(b) == 0.0:
+    if float(a) == 0.0 and a.lstrip("-") == b.lstrip("-"):
         return True
     if not {*"."} & {*a, *b} and not {*"e"} & {*a, *b}:
         return False

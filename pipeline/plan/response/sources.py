@@ -90,8 +90,7 @@ def stars_known(
     r: ResponsePlan, frame: NDArray[Any], x_px: Array, y_px: Array, light_e: Array
 ) -> KnownSources:
     """Stars (n,) of some frames, each drawn by its core class, or by quadrature beyond the last."""
-    errors = np.array([*(c.wing_error for c in r.classes), 0.0])
-    error = errors[first_above(light_e, [c.brightest_e for c in r.classes])]
+    error = _of_class(r, [c.wing_error for c in r.classes], light_e)
     return KnownSources(frame, x_px, y_px, light_e, error, np.zeros(len(light_e)))
 
 
@@ -138,10 +137,10 @@ def _spread_over(r: ResponsePlan, radius_px: Array) -> Array:
 def within_crowds(r: ResponsePlan, s: KnownSources) -> ResponsePlan:
     """The responses with what each star may err by between phases, so that the stars of a cell
     keep to one approximation's part together; as they are where light has noise of its own."""
-    phases = np.array([*(c.phases for c in r.classes), 0.0])
-    if r.streaks.photons or r.products or not phases.any():
+    phases = [float(c.phases) for c in r.classes]
+    if r.streaks.photons or r.products or not any(phases):
         return r
-    own = phases[first_above(s.light_e, [c.brightest_e for c in r.classes])]
+    own = _of_class(r, phases, s.light_e)
     curvature = max(map(point_curvature, r.blurs))
     linear_e = LINEAR * curvature * s.light_e / np.maximum(own, 1.0) ** 2
     cell, error_e = _cells(s), np.where(own > 0.0, np.minimum(linear_e, r.budget_e), 0.0)
@@ -162,8 +161,7 @@ def of_stars(r: ResponsePlan, s: KnownSources) -> SourceBounds:
     """What drawing the stars of some frames errs by at most."""
     cell = _cells(s)
     errors = _of_all(r, s, cell)
-    points = np.array([*(c.point_error for c in r.classes), 0.0])
-    points_e = points[first_above(s.light_e, [c.brightest_e for c in r.classes])] * s.light_e
+    points_e = _of_class(r, [c.point_error for c in r.classes], s.light_e) * s.light_e
     errors["common_streak"] = _within(r, cell, r.streaks.errors_e(s.light_e, points_e))
     beyond_e = np.maximum(0.0, r.streaks.rounded_e(s.light_e) - r.budget_e)
     errors["common_streak"] += _together(cell, beyond_e)
@@ -179,6 +177,11 @@ def of_targets(r: ResponsePlan, s: KnownSources) -> SourceBounds:
     points_e = curvature * s.light_e * s.size_px**2
     errors = _of_all(r, s, cell) | {"targets.point_sources": _within(r, cell, points_e)}
     return SourceBounds(float(s.light_e.max(initial=0.0)), errors)
+
+
+def _of_class(r: ResponsePlan, values: Sequence[float], light_e: Array) -> Array:
+    """Of stars (n,) the value of the core class that draws each; 0 beyond the last."""
+    return np.array([*values, 0.0])[first_above(light_e, [c.brightest_e for c in r.classes])]
 
 
 def _products_e(r: ResponsePlan, light_e: Array) -> Array:

@@ -170,7 +170,7 @@ class StreakPlan:
 
     def rounded_e(self, light_e: Array) -> Array:
         """What stars (n,) err by as places along their own paths are rounded [e-]; 0 of points."""
-        hidden = np.sqrt(1.0 + self.photons * light_e / self.floor_e**2)
+        hidden = allowed_e(light_e, self.floor_e, 1.0, self.photons)
         return FINEST_MERGE_PX * bool(self.off_px) * light_e / hidden
 
 
