@@ -55,8 +55,8 @@ Group = tuple[Array, Array, Array, Path]  # (x, y, light) of sources, and the pa
 
 WINDOW_PX = 16
 LEAST_ERROR = 1e-14  # of the light: where nothing else is known of a core's error
-OWN_PATHS, MOST_OWN = 8, 96  # of stars near a window at least, and where more are far off
-MOST_S = 2.0  # CPU seconds that the sources of a window may cost, on one core
+OWN_PATHS = 8  # of stars near a window at least, more where they are far off
+MOST_S = 0.5  # CPU seconds that the sources of a window may cost, on one core
 SOURCE_S, SEGMENT_S, SPECTRUM_S = 1.5e-9, 2e-9, 3e-8  # of one term of a spectrum (measured)
 VALUE_S = 1.2e-8  # of a value of a profile
 OFF_SHARE = 0.02  # of the light that may be off: what merging the segments of a path may cost
@@ -308,7 +308,7 @@ def _star_groups(
     off_e = np.where(apart < 2.0 * WINDOW_PX, light * off_px, 0.0)
     allowed_e = OFF_SHARE * plan.responses.budget_e
     if own_paths:
-        own_paths = max(own_paths, min(MOST_OWN, int(np.count_nonzero(off_e > allowed_e))))
+        own_paths = max(own_paths, int(np.count_nonzero(off_e > allowed_e)))
     own = np.zeros(len(some), bool)
     own[np.argsort(-off_e, kind="stable")[:own_paths]] = True
     own &= off_e > 0.0

@@ -21,6 +21,7 @@ from pipeline.execute.sources import (
 )
 from pipeline.execute.tables import core_of, still_core, swept_core, table_of
 from pipeline.physics.drawing.along import stamp_along
+from pipeline.physics.drawing.crowds import crowd_light
 from pipeline.physics.drawing.extended import draw_body
 from pipeline.physics.drawing.quadrature import draw_quadrature
 from pipeline.physics.drawing.stamps import draw_stamps
@@ -33,7 +34,7 @@ from pipeline.plan.response.own_paths import own_paths
 from pipeline.plan.response.streaks import POINTS, Streak, densest_share, light_near
 from pipeline.plan.tiles import Tile, overlap
 
-Light = tuple[Array, Array, Array]  # x (n,), y (n,) [px], electrons (n,)
+Light = tuple[Array, Array, Array, Array]  # x, y [px], light, `crowd_light` [e-] of stars (n,)
 
 
 def draw_stars(
@@ -105,6 +106,8 @@ def _draw_stamps(
     """Stars by stamps, class by class and zone by zone; bright streaks in more pieces, or along
     their own path."""
     zones, classes = zone_of(plan, stars.x_px, stars.y_px), class_of(plan, stars.light_e)
+    crowd_e = crowd_light(stars.x_px, stars.y_px, stars.light_e)
+    every = stars.x_px, stars.y_px, stars.light_e, crowd_e
     fine: list[Streak] = []
     finer = any(core.fine_phases for core in plan.responses.classes)
     if finer and (stars.light_e > min(streak.own_from_e for streak in paths)).any():
@@ -113,19 +116,20 @@ def _draw_stamps(
         for zone in np.unique(zones[classes == k]):
             mine = np.flatnonzero((classes == k) & (zones == zone))
             bright = stars.light_e[mine] > paths[zone].own_from_e
-            some = _light(stars, mine[~bright])
+            some = _some(every, mine[~bright])
             _draw_pieces(plan, image, tile, k, core.phases, paths[zone], some)
             mine = mine[bright]
             if core.fine_phases and len(mine):
                 bright = stars.light_e[mine] > fine[zone].own_from_e
-                some = _light(stars, mine[~bright])
+                some = _some(every, mine[~bright])
                 _draw_pieces(plan, image, tile, k, core.fine_phases, fine[zone], some, True)
                 mine = mine[bright]
             draw_along(plan, g, image, tile, select(stars, mine), paths)
 
 
-def _light(stars: FrameStars, which: NDArray[np.intp]) -> Light:
-    return stars.x_px[which], stars.y_px[which], stars.light_e[which]
+def _some(every: Light, which: NDArray[np.bool_] | NDArray[np.intp]) -> Light:
+    x, y, light, crowd = every
+    return x[which], y[which], light[which], crowd[which]
 
 
 def _draw_pieces(
@@ -139,11 +143,11 @@ def _draw_pieces(
     cubic: bool = False,
 ) -> None:
     """Stars of class k in a zone by the pieces of its streak."""
-    x, y, light_e = light
+    x, y, light_e, crowd_e = light
     for piece in streak.pieces:
         dx, dy = streak.at(piece.centre, x, y)
-        some = x + dx, y + dy, light_e * piece.share
-        _draw_piece(plan, image, tile, k, phases, piece.path, *some, cubic)
+        some = x + dx, y + dy, light_e * piece.share, crowd_e * piece.share
+        _draw_piece(plan, image, tile, k, phases, piece.path, some, cubic)
 
 
 def draw_along(
@@ -205,8 +209,9 @@ def _draw_points(
         return False
     at_x, at_y, share = points_along(path, band)
     near = _reaches(tile, core.radius_px, POINT, at_x + x, at_y + y)
-    places = at_x[near] + x, at_y[near] + y, light_e * share[near]
-    _draw_piece(plan, image, tile, k, core.point_phases, POINT, *places, cubic=True)
+    each_e = light_e * share[near]
+    places = at_x[near] + x, at_y[near] + y, each_e, each_e
+    _draw_piece(plan, image, tile, k, core.point_phases, POINT, places, cubic=True)
     return True
 
 
@@ -265,28 +270,27 @@ def _draw_piece(
     k: int,
     phases: int,
     piece: Path,
-    x: Array,
-    y: Array,
-    light: Array,
+    every: Light,
     cubic: bool = False,
 ) -> None:
     """One piece of the streaks of stars of one class, from a table of so many phases or (0)
     star by star. cubic : between phases in any case
 
-    Stars so bright that the table's own rounding would show are drawn at their exact places too.
+    What those of a pixel err by together is within one approximation's part: the brightest of it
+    are interpolated finer, or drawn at their exact places where the table's rounding would show.
     """
-    core = plan.responses.classes[k]
-    most_e = min(plan.responses.budget_e, plan.responses.star_error_e)
+    x, y, light, crowd = every
+    core, budget_e = plan.responses.classes[k], plan.responses.budget_e
     exact = np.ones(len(x), bool)
     if phases and len(x):
         parts = [
             (table_of(blur, core.radius_px, piece, phases), mine, part)
             for blur, mine, part in plan.responses.parts(x, y, light)
         ]
-        exact = np.abs(light) * max(table.cubic_error for table, _, _ in parts) > most_e
+        exact = crowd * max(table.cubic_error for table, _, _ in parts) > budget_e
         for table, mine, part in parts:
             keep = ~exact[mine]
-            linear = np.abs(light[mine]) * table.linear_error <= (0.0 if cubic else most_e)
+            linear = crowd[mine] * table.linear_error <= (0.0 if cubic else budget_e)
             place = x[mine][keep], y[mine][keep], part[keep]
             draw_stamps(image, (tile.y0, tile.x0), table, *place, ~linear[keep])
     draw_exact(plan, image, tile, k, piece, x[exact], y[exact], light[exact])

@@ -11,13 +11,11 @@ from pipeline.plan.ledger import LEDGER
 from pipeline.plan.needs import drawing_s
 from pipeline.plan.plan import Plan
 from pipeline.plan.resolved import ResolvedScene
-from pipeline.plan.response.responses import ResponsePlan
 from pipeline.plan.response.sources import (
     KnownSources,
     SourceBounds,
     bounds_of,
     known_of_frames,
-    within_crowds,
 )
 from pipeline.plan.rule import PlanBasis
 from pipeline.plan.stars.engines import choose_engines
@@ -46,7 +44,7 @@ def make_plan(
         engines = choose_engines(resolved, g, stars.counts)
         responses = engines.responses if engines else responses
     known = _all_sources(scene, stars, targets)
-    responses, bounds = _bounded(responses, known)
+    bounds = bounds_of(responses, *known) if known and responses.classes else SourceBounds()
     basis = PlanBasis(resolved, g, stars, engines, bounds.errors_e, bounds.brightest_e)
     decisions = tuple(d for rule in LEDGER for d in rule.decide(basis))
     shared = 1
@@ -67,16 +65,6 @@ def make_plan(
         shared_frames=shared,
         brightest_e=basis.brightest_e,
     )
-
-
-def _bounded(
-    r: ResponsePlan, known: tuple[KnownSources, KnownSources] | None
-) -> tuple[ResponsePlan, SourceBounds]:
-    """What follows from the light of all stars and targets, where that is known."""
-    if known is None or not r.classes:
-        return r, SourceBounds()
-    r = within_crowds(r, known[0])
-    return r, bounds_of(r, *known)
 
 
 def _all_sources(

@@ -100,8 +100,6 @@ class ResponsePlan:
     reach_px : radius beyond which a source's light is omitted; lost_light : that fraction
     spectral_from : stars around a block from which they are drawn together by transforms; 0 never
     crowd_e : light up to which transforms serve, where they need not serve more
-    star_error_e : what one star may err by between the phases of a table, where that is less than
-        `budget_e`: where light without noise of its own adds up in a pixel
     streaks : how the stars' common streaks are drawn
     budget_e : error that one approximation may make in one pixel
     field : the responses over the field, `blur` being the sharpest; None where `blur` serves all
@@ -119,7 +117,6 @@ class ResponsePlan:
     budget_e: float
     spectral_from: int = 0
     crowd_e: float = math.inf
-    star_error_e: float = math.inf
     field: PsfField | None = None
     table_mb: float = 0.0
     stars_s: float | None = None

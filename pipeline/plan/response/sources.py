@@ -31,7 +31,6 @@ from pipeline.plan.response.responses import (
 WINGS, TABLES = "wings_on_a_coarse_grid", "table_band"
 STATED = 9  # digits: the last ones of light depend on how a processor adds
 CELL_PX = 1.0  # sources of one cell err alike
-LINEAR = 1.25  # a point half a phase off, on both axes: 5/4 of a body of this radius as a point
 
 
 @dataclass(frozen=True)
@@ -132,22 +131,6 @@ def _spread_over(r: ResponsePlan, radius_px: Array) -> Array:
     cell_px = max(CELL_PX, 0.5 * r.spacing_px)
     cells = math.pi * (radius_px / cell_px) ** 2
     return np.where(cells > PLACES, PLACES * np.sqrt(cells), 1.0)
-
-
-def within_crowds(r: ResponsePlan, s: KnownSources) -> ResponsePlan:
-    """The responses with what each star may err by between phases, so that the stars of a cell
-    keep to one approximation's part together; as they are where light has noise of its own."""
-    phases = [float(c.phases) for c in r.classes]
-    if r.streaks.photons or r.products or not any(phases):
-        return r
-    own = _of_class(r, phases, s.light_e)
-    curvature = max(map(point_curvature, r.blurs))
-    linear_e = LINEAR * curvature * s.light_e / np.maximum(own, 1.0) ** 2
-    cell, error_e = _cells(s), np.where(own > 0.0, np.minimum(linear_e, r.budget_e), 0.0)
-    most_e = r.budget_e
-    while _together(cell, np.minimum(error_e, most_e)) > r.budget_e:
-        most_e *= 0.5
-    return r if most_e == r.budget_e else replace(r, star_error_e=most_e)
 
 
 def bounds_of(r: ResponsePlan, stars: KnownSources, targets: KnownSources) -> SourceBounds:
