@@ -9,8 +9,10 @@ import numpy as np
 
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Geometry
+from pipeline.execute.blocks import target_class
 from pipeline.execute.sources import FrameTarget, place_targets, streaks
 from pipeline.execute.truth import brightest_pixel_e, matched_snr, target_magnitudes
+from pipeline.physics.drawing.quadrature import drawn_s
 from pipeline.physics.motion.streak import POINT
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.air import star_transmission
@@ -91,6 +93,17 @@ def _brightest_pixels(plan: ResolvedScene, g: Geometry) -> Iterator[tuple[str, f
 def _is_inside(plan: ResolvedScene, t: FrameTarget) -> bool:
     rows, columns = plan.scene.sensor.shape
     return -0.5 <= t.x_px < columns - 0.5 and -0.5 <= t.y_px < rows - 0.5
+
+
+def quadrature_s(plan: Plan, g: Geometry) -> float:
+    """CPU seconds a frame of the targets too bright for all core classes, in those of `g`."""
+    r, pixels = plan.responses, math.prod(plan.scene.sensor.shape)
+    seconds = 0.0
+    for k in range(len(g.frame)):
+        every = place_targets(plan, g.frame_slice(k))
+        beyond = [t.path for t in every if target_class(plan, t) == len(r.classes)]
+        seconds += sum(max(drawn_s(b, path, pixels) for b in r.blurs) for path in beyond)
+    return seconds / len(g.frame)
 
 
 def target_snr(plan: Plan, g: Geometry, names: tuple[str, ...]) -> dict[str, float]:

@@ -46,7 +46,7 @@ class Spent:
 
     cpu_s : CPU seconds of planning; geometry_s : of them for the geometry of `frames` frames
     excursion_px : farthest that a star moves from its place at mid-exposure
-    beyond : whether a target may be drawn by quadrature, as a point too bright for all classes
+    beyond_s : CPU seconds a frame of targets drawn by quadrature: points too bright for all classes
     near : whether a target may light a frame, from beside it too
     """
 
@@ -54,7 +54,7 @@ class Spent:
     geometry_s: float = 0.0
     frames: int = 1
     excursion_px: float = 0.0
-    beyond: bool = False
+    beyond_s: float = 0.0
     near: bool = True
 
 
@@ -104,6 +104,7 @@ def predict(
     placed_s = stars * PLACE_S_PER_STAR + (2.0 * geometry_s if geometry_s > SLOW_S else 0.0)
     drawn_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL + _wings_s(plan, spent)
     drawn_s -= stars * PLACE_S_PER_STAR
+    placed_s += spent.beyond_s
     light_s = plan.frames * placed_s + math.ceil(plan.frames / plan.shared_frames) * drawn_s
     once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan, spent) + _profiles_s(plan, spent)
     once_s += _cores_s(plan, spent)
@@ -269,7 +270,7 @@ def _profiles_s(plan: Plan, spent: Spent) -> float:
     if not r.classes or bright_e <= min(r.classes[-1].brightest_e, r.classes[-1].target_e):
         return 0.0
     stars = plan.scene.stars is not None and (min(1.0, r.expected[-1]) if r.expected else 1.0)
-    likely = max(float(spent.beyond), stars)
+    likely = max(float(spent.beyond_s > 0.0), stars)
     return 2.0 * likely * sum(profile_s(b, r.reach_px) for b in r.blurs if has_profile(b))
 
 

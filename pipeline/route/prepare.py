@@ -81,11 +81,13 @@ def _spent(plan: Plan, r: Resolved, started: float, compiling: Compiling) -> Spe
     stars move."""
     moved = excursions_px(plan.camera, r.geometry, plan.scene.star_effects["aberration"])
     far = float(moved.max()) if plan.scene.stars is not None else 0.0
-    bright = points_beyond(plan, r.geometry)
+    beyond_s = 0.0
+    if points_beyond(plan, r.geometry):
+        beyond_s = _drawing().quadrature_s(plan, r.geometry)
     frames = len(r.geometry.frame)
     near = frames < plan.frames or near_frame(plan.scene, r.geometry, plan.halo_px).any()
     took_s = time.thread_time() - started - compiling.cpu_s
-    return Spent(took_s, r.geometry_s, frames, far, bright, bool(near))
+    return Spent(took_s, r.geometry_s, frames, far, beyond_s, bool(near))
 
 
 def plan_scene(scene: Scene) -> JsonObject:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from pipeline.arrays import FrameStars
 from pipeline.execute.light import draw_stars
 from pipeline.execute.tables import swept_core
+from pipeline.physics.drawing import quadrature
 from pipeline.physics.motion.points import points_along
 from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
@@ -123,6 +124,27 @@ def test_of_long_streaks_what_comes_near_the_frame_is_paid_for():
     ]
     assert 1.2 * cost_s[0] < cost_s[1]
     assert cost_s[2] < 1.5 * cost_s[1]
+
+
+def test_stars_too_bright_for_all_classes_are_paid_for_one_by_one():
+    """Each of their pixels sums its whole path; what crosses the frame is dearer than what passes."""
+    plan = plan_of(40.0, 64, 64, {"kind": "moffat", "fwhm_px": 1.0, "beta": 2.0})
+    r = plan.responses
+    assert np.isfinite(r.classes[-1].brightest_e)
+    path = Path(np.array([-20.0, 20.0]), np.zeros(2), np.ones(1))
+    pairs = 64**2 * quadrature.points_along(r.blur, path)
+
+    def cost_s(stars: int, beyond_px: float) -> float:
+        light = np.full(stars, 10.0 * r.classes[-1].brightest_e)
+        counts = StarCounts(light, beyond_px=np.full(stars, beyond_px))
+        return with_engines(plan, counts).responses.stars_s
+
+    passing, crossing = cost_s(1, 0.9 * plan.halo_px), cost_s(1, 0.0)
+    straight_s = pairs * quadrature.FAR_S
+    assert straight_s <= passing < 3.0 * straight_s  # its own path is bent
+    assert crossing > 2.0 * passing
+    assert cost_s(30, 0.0) == pytest.approx(30.0 * crossing)
+    assert cost_s(30, 1e6) == 0.0
 
 
 def test_same_choice_for_any_tiles():

@@ -106,7 +106,7 @@ def test_the_reference_follows_a_star_where_stars_of_the_window_go_elsewhere(at)
     x0, y0 = (int(v) - 8 for v in (at[0] + path.x_px[0], at[1] + path.y_px[0]))
     light_e = 1e9
     exact, _ = reference(plan, g, Tile(0, 0, y0, x0, 16, 16),
-                         field(*(np.array([v]) for v in (*at, light_e))))  # fmt: skip
+                         field(*(np.array([v]) for v in (*at, light_e))), most_s=2.0)  # fmt: skip
     lengths = np.hypot(np.diff(path.x_px), np.diff(path.y_px))
     inside = np.hypot(path.x_px - path.x_px[0], path.y_px - path.y_px[0]) < 5.0
     sure_e = light_e * float(path.weight[inside[1:]].sum())

@@ -39,6 +39,7 @@ NEAR_PX = 12.0  # from a source, beyond which the angle's few harmonics are inte
 MOST_VALUES = 1e8  # pixels times points of a path that one source may cost: half a minute
 BAND_FLOOR = 1e-12
 NODE_S, VALUE_S = 3e-8, 8e-9  # of a node of a blur, of a value of a profile: one core
+FAR_S = 2e-7  # of a pixel far from a point of a path
 FAR_SIGMA = 14.0  # a Gaussian holds all but 1e-42 of its light within it
 SPARE_PX = 4.0
 RADIUS_STEP = 2.0  # sources whose farthest pixels are so far apart share a profile
@@ -101,6 +102,15 @@ def profile_s(blur: Blur, radius_px: float) -> float:
         nodes = NODES * (2.0 * BLUR_SIGMA * spread / min(_scale(optics), 2.0 * spread) + BLOCK)
     far = (n // 2 + 2) * n * n / width_px
     return radius_px * NODES * (NODE_S * nodes * PANELS / _scale(optics) + VALUE_S * far)
+
+
+def drawn_s(blur: Blur, path: Path, pixels: int, near: bool = True) -> float:
+    """About the CPU seconds of drawing a source in so many pixels.
+
+    near : its path crosses them, or else passes by
+    """
+    share = near * min(1.0, 2.0 * NEAR_PX / max(path.length_px, 2.0 * NEAR_PX))
+    return pixels * points_along(blur, path) * (FAR_S + share * VALUE_S * nodes_of(blur) ** 2)
 
 
 def draw_quadrature(

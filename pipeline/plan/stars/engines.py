@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.arrays import Geometry
+from pipeline.physics.drawing.quadrature import NEAR_PX, drawn_s
 from pipeline.physics.drawing.spectral_plan import CROWD_PX
 from pipeline.physics.motion.points import in_fewer_points, points_per_px
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, POINT, Path, curve_through
@@ -88,6 +89,7 @@ def choose_engines(plan: ResolvedScene, g: Geometry, counts: StarCounts) -> Star
         said += words
         stars_s += seconds
     beyond = counts.near(plan.halo_px + far_px)  # drawn as far as their light reaches
+    stars_s += _beyond_s(plan, limits[-2], streaks, beyond, counts.near(NEAR_PX + far_px))
     ends = zip([*near, beyond], pairwise(limits), strict=True)
     expected = tuple(some.between(*light_e) for some, light_e in ends)
     spent_s = None if r.products else stars_s
@@ -126,6 +128,27 @@ def _choose(
             *said,
         ]
     return replace(made, phases=core.phases * tables), said, bright_s + usual_s
+
+
+def _beyond_s(
+    plan: ResolvedScene,
+    bright_e: float,
+    streaks: list[Streak],
+    every: StarCounts,
+    near: StarCounts,
+) -> float:
+    """CPU seconds of stars brighter than all classes serve, by quadrature along their own paths.
+
+    every : the stars whose light reaches the frame, near : of them those whose paths may cross it
+    """
+    if not every.brighter(bright_e):
+        return 0.0
+    crossing, pixels = near.brighter(bright_e), math.prod(plan.scene.sensor.shape)
+    passing, seconds = every.brighter(bright_e) - crossing, 0.0
+    for path in (_own_path(plan, streak, bright_e) for streak in streaks):
+        seconds += crossing * max(drawn_s(b, path, pixels) for b in plan.responses.blurs)
+        seconds += passing * max(drawn_s(b, path, pixels, False) for b in plan.responses.blurs)
+    return seconds / len(streaks)
 
 
 def _choose_bright(
@@ -338,12 +361,17 @@ def _farthest_px(plan: ResolvedScene, g: Geometry) -> float:
 
 def _own_segments(plan: ResolvedScene, streak: Streak, light_e: float) -> int:
     """Segments of the own path of a star of so much light in the middle of a streak's zone."""
+    path = in_fewer_points(_own_path(plan, streak, light_e), plan.responses.band)
+    return int(np.count_nonzero(path.weight))
+
+
+def _own_path(plan: ResolvedScene, streak: Streak, light_e: float) -> Path:
+    """That path."""
     x_px, y_px = streak.followed[:, :, 1, 1].T
     weight = np.full(len(x_px) - 1, 1.0 / (len(x_px) - 1))
     share = densest_share(x_px, y_px, weight)
     merge_px = plan.merged_px(np.array(min(light_e, BRIGHTEST_E)), share)
-    path = curve_through(x_px, y_px, weight, float(merge_px))
-    return int(np.count_nonzero(in_fewer_points(path, plan.responses.band).weight))
+    return curve_through(x_px, y_px, weight, float(merge_px))
 
 
 def _point_error(blur: Blur, radius_px: float, phases: int) -> float:
