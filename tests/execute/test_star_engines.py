@@ -127,7 +127,7 @@ def test_of_long_streaks_what_comes_near_the_frame_is_paid_for():
 
 
 def test_stars_too_bright_for_all_classes_are_paid_for_one_by_one():
-    """Each of their pixels sums its whole path; what crosses the frame is dearer than what passes."""
+    """Each of their pixels sums its whole path; what crosses the frame is dearer."""
     plan = plan_of(40.0, 64, 64, {"kind": "moffat", "fwhm_px": 1.0, "beta": 2.0})
     r = plan.responses
     assert np.isfinite(r.classes[-1].brightest_e)
