@@ -289,6 +289,9 @@ def print_report(report: JsonObject, product: Path | str) -> None:
             f"  error found by drawing {errors['windows']} windows again: "
             f"{errors['achieved_error_sigma']:.4f} sigma, {errors['achieved_error_e']:.2g} e-"
         )
+    if errors["windows_skipped"]:
+        skipped = errors["windows_skipped"]
+        print(f"  error not looked for in {skipped} more window(s): their sources take too long")
     if errors["common_streak_px"] > 0:
         share = errors["common_streak_px"]
         print(f"  stars share streaks that differ by up to {share:.1e} px at their ends")

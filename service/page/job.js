@@ -367,7 +367,8 @@ export class JobView {
     const e = report.errors, s = report.seconds;
     const facts = [
       ["error found by drawing again", e.achieved_error_sigma === null || e.achieved_error_sigma === undefined
-        ? "not checked" : `${number(e.achieved_error_sigma, 2)} σ in ${e.windows} windows`],
+        ? "not checked" : `${number(e.achieved_error_sigma, 2)} σ in ${e.windows} windows`
+          + (e.windows_skipped ? `, ${e.windows_skipped} more take too long` : "")],
       ["bound of all approximations", `${number(e.bound_of_all_approximations_sigma, 2)} σ (asked ${e.asked_sigma})`],
       ["coordinates", `good to ${number(e.wcs_residual_px, 2)} px`],
       ["noise floor", `${number(e.noise_floor_e, 3)} e⁻`],

@@ -69,6 +69,17 @@ def test_as_stated_is_exit_0(scene: Path, tmp_path: Path) -> None:
     assert not any("err" in warning for warning in report["warnings"])
 
 
+def test_windows_that_take_too_long_are_told(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing was found there, and that is said."""
+    monkeypatch.setattr(check, "reference", lambda *args: (None, 7))
+    said = nightglass("render", scene, "-o", tmp_path / "run", "--scheduler", "synchronous")
+    assert said.returncode == 0
+    assert "error not looked for in 2 more window(s): their sources take too long" in said.stdout
+    assert "windows again" not in said.stdout
+
+
 def test_more_error_than_asked_needs_accepting(scene: Path, tmp_path: Path) -> None:
     """Straight lines between the points of a bent response err by more than so little."""
     detector = {"nonlinearity": {"kind": "polynomial", "coefficients": [-0.3]}}
