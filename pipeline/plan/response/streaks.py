@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.arrays import Array, Geometry
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, path_through
-from pipeline.physics.positions.focal_plane import Camera
+from pipeline.physics.positions.focal_plane import Camera, ifov_rad
 from pipeline.plan.response.own_paths import FINEST_MERGE_PX, exact_path, star_offsets
 from pipeline.plan.response.zones import CHECKS, NODES, Zone, biquadratic, lagrange, zone_of_frame
 from pipeline.spec.scene import CELL_PX, USUAL_FRACTION
@@ -40,6 +40,7 @@ MERGE_TOLERANCE_PX = 2e-4  # these two at the usual accuracy
 SPREAD_TOLERANCE_PX = 4e-3
 MOST_PIECES = 16
 SHORTEST_PIECE_PX, FINER_SHAPE = 2.0, 4.0  # of those of bright stars; times finer are these rounded
+ROUNDED = 2.2e-16  # rad: what directions are rounded to, in float64
 SLACK = 1.5  # over what the plan knows of some frames: what others may differ or be longer by
 SHOWN = 0.02  # of the budget: what merging the nodes of own paths may err by
 POINTS = 0.25  # and what the table of the points may, that such paths are drawn as
@@ -98,6 +99,7 @@ class StreakPlan:
     own_from_e_px : light per px of path from which on stars are drawn along their own path
     floor_e, budget_e : noise of a pixel without sources, and what streaks may err by there
     own_px : px from a star's own path, where that is interpolated across its zone
+    rounded_px : what places along paths are rounded to
     photons : light has noise of its own, so that a pixel with more of it may err by more
     at_rest : what a pixel errs by of a star's light where every shape is a point
     shortest_px : of all streaks; tolerance_px : what `spread_px` may be
@@ -115,6 +117,7 @@ class StreakPlan:
     floor_e: float = 1.0
     budget_e: float = math.inf
     own_px: float = math.inf
+    rounded_px: float = FINEST_MERGE_PX
     photons: bool = True
     at_rest: float = math.inf
     shortest_px: float = 0.0
@@ -171,7 +174,7 @@ class StreakPlan:
     def rounded_e(self, light_e: Array) -> Array:
         """What stars (n,) err by as places along their own paths are rounded [e-]; 0 of points."""
         hidden = allowed_e(light_e, self.floor_e, 1.0, self.photons)
-        return FINEST_MERGE_PX * bool(self.off_px) * light_e / hidden
+        return self.rounded_px * bool(self.off_px) * light_e / hidden
 
 
 def plan_streaks(
@@ -217,6 +220,7 @@ def plan_streaks(
                 floor_e,
                 budget_e,
                 own,
+                FINEST_MERGE_PX + ROUNDED / ifov_rad(camera),
                 photons,
                 shortest_px=float(lengths.min()),
                 tolerance_px=tolerance,
