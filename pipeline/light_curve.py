@@ -145,9 +145,10 @@ def _curves(
 def _which(scene: Scene, names: Sequence[str]) -> list[int]:
     """Indices of targets by their names; of all for none. BadInput for one that is not there."""
     index = {t.name: i for i, t in enumerate(scene.targets)}
-    for name in [n for n in names if n not in index] or ([] if index else ["any"]):
-        known = ", ".join(list(index)[:10]) or "(the scene has no target)"
-        raise BadInput("--target", name, f"the name of a target: {known}")
+    if not index:
+        raise BadInput("targets", "none", "a target or a population, to follow its light")
+    for name in [n for n in names if n not in index]:
+        raise BadInput("--target", name, f"the name of a target: {', '.join(list(index)[:10])}")
     return [index[name] for name in names] or list(index.values())
 
 
