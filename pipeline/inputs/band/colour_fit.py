@@ -16,6 +16,7 @@ import numpy as np
 
 from catalog_tools.documents import JsonObject
 from pipeline.inputs.band.curves import named_filter, stellar_library, stellar_library_digest
+from pipeline.kept import made_by
 from pipeline.physics.colour import ColourFit, choose_degree, colour_correction_mag, fit_colour
 from pipeline.physics.radiometry import Array, ResponseCurve, photon_integral
 
@@ -116,13 +117,14 @@ def gather_colour_fit(
 ) -> ColourFit:
     """The colour fit of a band: read from `cache_dir` where it is known, else fitted and kept.
 
-    digest : of the response (`resolve_response`); with the library's content, the degree and
-    the format it names the file. A damaged file is fitted anew; a folder that cannot be written
+    digest : of the response (`resolve_response`); with the library's content, the degree, the
+    format, and what the last bits follow from (`made_by`) it names the file. A damaged file is fitted anew; a folder that cannot be written
     keeps nothing.
     """
     if cache_dir is None:
         return fit_band(gather_colour_points(response), band_name, degree)
-    key = "|".join((FORMAT, digest, band_name, stellar_library_digest(), str(degree)))
+    content = FORMAT, digest, band_name, stellar_library_digest(), str(degree), made_by().hex()
+    key = "|".join(content)
     path = Path(cache_dir) / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.json"
     known = _read_fit(path)
     if known is not None:

@@ -114,6 +114,14 @@ def test_against_whole_library_embedded_fit(shared_data, monkeypatch, bandpass, 
     assert "embedded" in small.source
 
 
+def test_a_fit_of_other_libraries_is_not_read(tmp_path, monkeypatch):
+    """Its last bits may differ, and with them those of a product."""
+    for made_by in (b"one", b"another", b"one"):
+        monkeypatch.setattr(colour_fit, "made_by", lambda made_by=made_by: made_by)
+        fitted(named("bessell-V"), tmp_path)
+    assert len(list(tmp_path.glob("*.json"))) == 2
+
+
 def test_same_fit_from_the_cache_and_after_damage(embedded, tmp_path, monkeypatch):
     first = fitted(BOX, tmp_path)
     (file,) = tmp_path.iterdir()
