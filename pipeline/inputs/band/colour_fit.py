@@ -118,8 +118,8 @@ def gather_colour_fit(
     """The colour fit of a band: read from `cache_dir` where it is known, else fitted and kept.
 
     digest : of the response (`resolve_response`); with the library's content, the degree, the
-    format, and what the last bits follow from (`made_by`) it names the file. A damaged file is fitted anew; a folder that cannot be written
-    keeps nothing.
+    format, and what the last bits follow from (`made_by`) it names the file. A damaged file is
+    fitted anew; a folder that cannot be written keeps nothing.
     """
     if cache_dir is None:
         return fit_band(gather_colour_points(response), band_name, degree)
