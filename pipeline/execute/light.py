@@ -127,7 +127,7 @@ def _draw_stamps(
             draw_along(plan, g, image, tile, select(stars, mine), paths)
 
 
-def _some(every: Light, which: NDArray[np.bool_] | NDArray[np.intp]) -> Light:
+def _some(every: Light, which: NDArray[np.intp]) -> Light:
     x, y, light, crowd = every
     return x[which], y[which], light[which], crowd[which]
 

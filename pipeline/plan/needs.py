@@ -104,8 +104,8 @@ def predict(
     placed_s = stars * PLACE_S_PER_STAR + (2.0 * geometry_s if geometry_s > SLOW_S else 0.0)
     drawn_s = frame_seconds(plan, forecast) - pixels * NOISE_S_PER_PIXEL + _wings_s(plan, spent)
     drawn_s -= stars * PLACE_S_PER_STAR
-    placed_s += spent.beyond_s
-    light_s = plan.frames * placed_s + math.ceil(plan.frames / plan.shared_frames) * drawn_s
+    light_s = plan.frames * (placed_s + spent.beyond_s)
+    light_s += math.ceil(plan.frames / plan.shared_frames) * drawn_s
     once_s = max(0.0, spent.cpu_s - START_S) + _kernels_s(plan, spent) + _profiles_s(plan, spent)
     once_s += _cores_s(plan, spent)
     return {

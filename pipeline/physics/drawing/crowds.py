@@ -18,9 +18,7 @@ def crowd_light(x_px: Array, y_px: Array, light_e: Array) -> Array:
     out = np.abs(light_e)
     if len(out) < 2:
         return out
-    row, column = (np.floor(v).astype(np.int64) for v in (y_px, x_px))
-    column -= column.min()
-    pixel = (row - row.min()) * (column.max() + 1) + column
+    pixel = pixel_numbers(x_px, y_px)
     order = np.argsort(pixel)
     same = pixel[order[1:]] == pixel[order[:-1]]
     if same.any():
@@ -30,6 +28,13 @@ def crowd_light(x_px: Array, y_px: Array, light_e: Array) -> Array:
         found = found[np.lexsort((out[found], pixel[found]))]
         out[found] = _sums(pixel[found], out[found])
     return out
+
+
+def pixel_numbers(x_px: Array, y_px: Array) -> NDArray[np.int64]:
+    """Numbers (n,) of the pixels in which places are, row by row; alike only in one pixel."""
+    row, column = (np.floor(v).astype(np.int64) for v in (y_px, x_px))
+    row, column = row - row.min(initial=0), column - column.min(initial=0)
+    return np.asarray(row * (column.max(initial=0) + 1) + column)
 
 
 @njit(cache=True, nogil=True)

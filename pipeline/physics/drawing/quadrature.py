@@ -104,10 +104,10 @@ def profile_s(blur: Blur, radius_px: float) -> float:
     return radius_px * NODES * (NODE_S * nodes * PANELS / _scale(optics) + VALUE_S * far)
 
 
-def drawn_s(blur: Blur, path: Path, pixels: int, near: bool = True) -> float:
+def drawn_s(blur: Blur, path: Path, pixels: int, near: float = 1.0) -> float:
     """About the CPU seconds of drawing a source in so many pixels.
 
-    near : its path crosses them, or else passes by
+    near : share of such sources whose path crosses them; the others' passes by
     """
     share = near * min(1.0, 2.0 * NEAR_PX / max(path.length_px, 2.0 * NEAR_PX))
     return pixels * points_along(blur, path) * (FAR_S + share * VALUE_S * nodes_of(blur) ** 2)

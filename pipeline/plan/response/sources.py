@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array
+from pipeline.physics.drawing.crowds import pixel_numbers
 from pipeline.physics.drawing.quadrature import affordable
 from pipeline.physics.motion.streak import Path
 from pipeline.physics.psf.product import product_table
@@ -195,10 +196,8 @@ def _of_all(r: ResponsePlan, s: KnownSources, cell: NDArray[np.int64]) -> dict[s
 
 def _cells(s: KnownSources) -> NDArray[np.int64]:
     """Numbers (n,) of the cells of CELL_PX in which sources stand, frame by frame."""
-    column, row = (np.floor(v / CELL_PX).astype(np.int64) for v in (s.x_px, s.y_px))
-    column, row = column - column.min(initial=0), row - row.min(initial=0)
-    columns, rows = column.max(initial=0) + 1, row.max(initial=0) + 1
-    number = (s.frame.astype(np.int64) * rows + row) * columns + column
+    number = pixel_numbers(s.x_px / CELL_PX, s.y_px / CELL_PX)
+    number += s.frame.astype(np.int64) * (number.max(initial=0) + 1)
     return np.unique(number, return_inverse=True)[1]
 
 

@@ -141,14 +141,13 @@ def _beyond_s(
 
     every : the stars whose light reaches the frame, near : of them those whose paths may cross it
     """
-    if not every.brighter(bright_e):
+    stars, pixels = every.brighter(bright_e), math.prod(plan.scene.sensor.shape)
+    if not stars:
         return 0.0
-    crossing, pixels = near.brighter(bright_e), math.prod(plan.scene.sensor.shape)
-    passing, seconds = every.brighter(bright_e) - crossing, 0.0
-    for path in (_own_path(plan, streak, bright_e) for streak in streaks):
-        seconds += crossing * max(drawn_s(b, path, pixels) for b in plan.responses.blurs)
-        seconds += passing * max(drawn_s(b, path, pixels, False) for b in plan.responses.blurs)
-    return seconds / len(streaks)
+    crossing, blurs = near.brighter(bright_e) / stars, plan.responses.blurs
+    paths = [_own_path(plan, streak, bright_e) for streak in streaks]
+    each_s = [max(drawn_s(b, path, pixels, crossing) for b in blurs) for path in paths]
+    return stars * sum(each_s) / len(paths)
 
 
 def _choose_bright(
@@ -360,13 +359,13 @@ def _farthest_px(plan: ResolvedScene, g: Geometry) -> float:
 
 
 def _own_segments(plan: ResolvedScene, streak: Streak, light_e: float) -> int:
-    """Segments of the own path of a star of so much light in the middle of a streak's zone."""
+    """Segments of `_own_path` where it is drawn as points."""
     path = in_fewer_points(_own_path(plan, streak, light_e), plan.responses.band)
     return int(np.count_nonzero(path.weight))
 
 
 def _own_path(plan: ResolvedScene, streak: Streak, light_e: float) -> Path:
-    """That path."""
+    """The own path of a star of so much light in the middle of a streak's zone."""
     x_px, y_px = streak.followed[:, :, 1, 1].T
     weight = np.full(len(x_px) - 1, 1.0 / (len(x_px) - 1))
     share = densest_share(x_px, y_px, weight)
