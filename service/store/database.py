@@ -143,14 +143,27 @@ def now_s(db: sa.Connection) -> float:
 def _configure(connection: sqlite3.Connection, _: object) -> None:
     """Write-ahead log, synced at every commit; transactions are begun by `_begin`."""
     connection.isolation_level = None
+    _keep_a_log(connection)
     for pragma in (
-        "journal_mode = WAL",
         "synchronous = FULL",
         "busy_timeout = 30000",
         "cell_size_check = ON",
         "trusted_schema = OFF",
     ):
         connection.execute(f"PRAGMA {pragma}").close()
+
+
+def _keep_a_log(connection: sqlite3.Connection) -> None:
+    """Turn the write-ahead log on. Of several that open a new database at once SQLite refuses all
+    but one, without a wait; they ask again."""
+    end_s = time.monotonic() + BUSY_S
+    while True:
+        try:
+            return connection.execute("PRAGMA journal_mode = WAL").close()
+        except sqlite3.OperationalError as error:
+            if "locked" not in str(error) or time.monotonic() > end_s:
+                raise
+            time.sleep(0.01)
 
 
 def _bound_waits(connection: DBAPIConnection, _: object) -> None:

@@ -158,3 +158,15 @@ def test_two_that_start_together_make_the_tables_once(
         for engine in both.map(connect, (url, url)):
             engine.dispose()
     assert looked == [None, HEAD]
+
+
+def test_one_that_starts_while_another_writes_a_new_database_waits(tmp_path: Path) -> None:
+    """SQLite turns a log on for nobody while someone writes, and does not wait by itself."""
+    path = tmp_path / "jobs.sqlite"
+    with contextlib.closing(sqlite3.connect(path, check_same_thread=False)) as first:
+        first.isolation_level = None
+        first.execute("BEGIN IMMEDIATE")
+        threading.Timer(0.3, first.rollback).start()
+        connect(sqlite_url(path)).dispose()
+    with contextlib.closing(sqlite3.connect(path)) as db:
+        assert db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
