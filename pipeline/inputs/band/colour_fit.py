@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-import json
 import math
-import os
-import tempfile
 from dataclasses import asdict, fields
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from catalog_tools.documents import JsonObject
 from pipeline.inputs.band.curves import named_filter, stellar_library, stellar_library_digest
-from pipeline.kept import made_by
+from pipeline.kept import kept
 from pipeline.physics.colour import ColourFit, choose_degree, colour_correction_mag, fit_colour
 from pipeline.physics.radiometry import Array, ResponseCurve, photon_integral
 
-FORMAT = "nightglass/colour-fit/1"
+FORMAT = "nightglass/colour-fit/2"
 
 # Of the published DR2 magnitudes: measured on real rows as mag + 2.5 log10(flux), 25.6884 with a
 # scatter of 5e-7 (Evans et al. 2018, A&A 616, A4). The revised passbands' own 25.6914 belongs to
@@ -109,42 +103,17 @@ def default_colour_error_mag(fit: ColourFit) -> tuple[float, float]:
 
 
 def gather_colour_fit(
-    response: ResponseCurve,
-    band_name: str,
-    digest: str,
-    cache_dir: Path | None,
-    degree: int | None = None,
+    response: ResponseCurve, band_name: str, digest: str, degree: int | None = None
 ) -> ColourFit:
-    """The colour fit of a band: read from `cache_dir` where it is known, else fitted and kept.
+    """The colour fit of a band, kept on disk by the response's digest (`resolve_response`) and the
+    library's content."""
 
-    digest : of the response (`resolve_response`); with the library's content, the degree, the
-    format, and what the last bits follow from (`made_by`) it names the file. A damaged file is
-    fitted anew; a folder that cannot be written keeps nothing.
-    """
-    if cache_dir is None:
-        return fit_band(gather_colour_points(response), band_name, degree)
-    content = FORMAT, digest, band_name, stellar_library_digest(), str(degree), made_by().hex()
-    key = "|".join(content)
-    path = Path(cache_dir) / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.json"
-    known = _read_fit(path)
-    if known is not None:
-        return known
-    fit = fit_band(gather_colour_points(response), band_name, degree)
-    with contextlib.suppress(OSError):
-        _write_fit(path, fit)
-    return fit
+    def make() -> JsonObject:
+        content = plain_fit(fit_band(gather_colour_points(response), band_name, degree))
+        return {name: value for name, value in content.items() if name != "digest"}
 
-
-def _read_fit(path: Path) -> ColourFit | None:
-    """The stored fit, or None where there is none or it is damaged."""
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        content = stored["fit"]
-        if stored["format"] != FORMAT or stored["sha256"] != checksum(content):
-            return None
-        return fit_of(content)
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+    made = kept((FORMAT, digest, band_name, stellar_library_digest(), degree), make)
+    return fit_of({name: values.tolist() for name, values in made.items()})
 
 
 def fit_of(content: JsonObject) -> ColourFit:
@@ -158,31 +127,12 @@ def fit_of(content: JsonObject) -> ColourFit:
     return ColourFit(**{f.name: ({**content, **arrays})[f.name] for f in fields(ColourFit)})
 
 
-def _write_fit(path: Path, fit: ColourFit) -> None:
-    content = plain_fit(fit)
-    text = json.dumps({"format": FORMAT, "sha256": checksum(content), "fit": content}, indent=1)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        Path(temporary).replace(path)
-    except OSError:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-
-
 def plain_fit(fit: ColourFit) -> JsonObject:
     """A fit as plain data."""
     return asdict(fit) | {
         "coefficients": [float(c) for c in fit.coefficients],
         "colour_range": list(fit.colour_range),
     }
-
-
-def checksum(content: JsonObject) -> str:
-    """SHA-256 of a fit's plain data."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def describe(fit: ColourFit, points: ColourPoints | None = None) -> JsonObject:

@@ -11,8 +11,7 @@ from pathlib import Path
 from catalog_tools.documents import JsonObject, JsonValue
 from catalog_tools.storage.durable import write_atomically
 from pipeline.errors import BadInput, check_new
-from pipeline.inputs.band.colour_fit import checksum, fit_of, gather_colour_fit, plain_fit
-from pipeline.kept import cache_folder
+from pipeline.inputs.band.colour_fit import fit_of, gather_colour_fit, plain_fit
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.radiometry import ResponseCurve
 from pipeline.spec.scene import Scene
@@ -29,7 +28,7 @@ def colour_fit_of(scene: Scene, response: ResponseCurve, band: str, digest: str)
     """The colour fit of a scene: of the file that it names, else fitted to the stellar library."""
     named = None if scene.stars is None else scene.stars.colour_fit
     if named is None:
-        return gather_colour_fit(response, band, digest, cache_folder())
+        return gather_colour_fit(response, band, digest)
     return read_colour_fit(Path(named), band, digest)
 
 
@@ -39,7 +38,7 @@ def write_colour_fit(path: Path, fit: ColourFit, digest: str) -> None:
     if path.suffix != ".json":
         raise BadInput("-o", str(path), "a path ending in .json")
     content = plain_fit(fit)
-    stored = {"format": FORMAT, "response": digest, "sha256": checksum(content), "fit": content}
+    stored = {"format": FORMAT, "response": digest, "sha256": _checksum(content), "fit": content}
     try:
         write_atomically(path, json.dumps(stored, indent=1, allow_nan=False) + "\n")
     except OSError as error:
@@ -85,10 +84,15 @@ def _stored(path: Path, content: bytes) -> JsonObject:
     if not isinstance(stored.get("fit"), dict):
         raise BadInput(FIELD, f"{path}: fit", "the mapping that color-fit writes")
     told = stored.get("sha256")
-    if told is not None and told != checksum(stored["fit"]):
+    if told is not None and told != _checksum(stored["fit"]):
         allowed = "as color-fit wrote it; sha256: null after a change by hand"
         raise BadInput(FIELD, f"{path}: sha256", allowed)
     return stored
+
+
+def _checksum(content: JsonObject) -> str:
+    """SHA-256 of a fit's plain data."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _checked(path: Path, content: JsonObject) -> ColourFit:

@@ -90,7 +90,7 @@ def test_facts_and_nothing_left_out_of_the_main_catalogue(empty):
 
 def test_stars_without_a_colour_are_counted_with_what_it_may_cost(empty):
     """Few are a remark, most of a catalogue a warning; an older catalogue did not count them."""
-    fit = gather_colour_fit(*resolve_response({"kind": "named", "name": "bessell-V"}, 1, 1), None)
+    fit = gather_colour_fit(*resolve_response({"kind": "named", "name": "bessell-V"}, 1, 1))
     counts = {0: (0, 0), 80: (0, 1), 600: (1, 0), None: (0, 1)}
     for count, (warned, remarked) in counts.items():
         held = replace(empty, rows=1000, without_colour=count)

@@ -29,7 +29,7 @@ def test_against_each_star(shared_data, band, bound):
     g, bp, rp = (
         np.array(rows[f"phot_{b}_mean_mag"], np.float64) for b in ("g", "bp", "rp")
     )  # fmt: skip
-    fit = gather_colour_fit(*resolve_response(band, 1.0, 1.0), None)
+    fit = gather_colour_fit(*resolve_response(band, 1.0, 1.0))
     for limit in (12.0, 15.0, 17.0):
         kept = g > limit
         rate, _ = star_electron_rate(g[kept], bp[kept], rp[kept], fit)
@@ -41,7 +41,7 @@ def test_against_each_star(shared_data, band, bound):
 
 
 def test_limits():
-    fit = gather_colour_fit(*resolve_response(BANDS[0][0], 1.0, 1.0), None)
+    fit = gather_colour_fit(*resolve_response(BANDS[0][0], 1.0, 1.0))
     none = np.zeros(3)
     np.testing.assert_array_equal(band_light((none, none, none), none, fit), 0.0)
     one = band_light((np.ones(1), np.full(1, 0.8), np.full(1, 0.64)), np.zeros(1), fit)
@@ -60,7 +60,7 @@ def test_diffuse_light_is_its_share_of_the_sum():
 
 def test_two_stars_either_side_of_their_mean_are_exact():
     """A blue and a red one of one brightness: the sum of what each sends, far from twice one."""
-    fit = gather_colour_fit(*resolve_response(BANDS[3][0], 1.0, 1.0), None)
+    fit = gather_colour_fit(*resolve_response(BANDS[3][0], 1.0, 1.0))
     colours = np.array([0.2, 1.8])
     moments = tuple(np.array([(0.5 * colours**k).sum()]) for k in range(3))
     rate, _ = star_electron_rate(np.zeros(2), colours, np.zeros(2), fit)

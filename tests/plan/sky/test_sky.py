@@ -64,7 +64,7 @@ def planned(scene, changes, catalogues=(), from_noise=False):
     """A scene, its facts and its sky plan."""
     s = scene(copy.deepcopy(WIDE | changes))
     response, band, digest = gather_response(s)
-    fit = gather_colour_fit(response, band, digest, None) if s.stars is not None else None
+    fit = gather_colour_fit(response, band, digest) if s.stars is not None else None
     facts = gather_facts(s, response, 0.0, 3.0, 1.0)
     inputs = gather_sky(s, response, band, digest, catalogues, fit, from_noise)
     geometry = plan_geometry(s, sampled_frames(s), 0.0)
