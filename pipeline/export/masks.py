@@ -8,6 +8,7 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
@@ -72,12 +73,11 @@ def _as_disc(
     y0: int, x0: int, image: NDArray[np.float64], radius_px: float
 ) -> tuple[int, int, NDArray[np.float64]]:
     """The light spread over a full disc."""
-    from scipy.signal import fftconvolve
 
     n = int(np.ceil(radius_px))
     at = np.arange(-n, n + 1)
     disc = (np.hypot(at[:, None], at[None, :]) <= radius_px).astype(float)
-    return y0 - n, x0 - n, fftconvolve(image, disc / disc.sum())
+    return y0 - n, x0 - n, scipy.signal.fftconvolve(image, disc / disc.sum())
 
 
 def _cut(

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import fftconvolve
-from scipy.special import bdtrc, bdtri, ndtr, ndtri
 
 Array = NDArray[np.float64]
 
@@ -47,7 +46,7 @@ def filtered(image_e: Array, response: Array, step_e: float = 0.0) -> Array:
     shape = tuple(n - m + 1 for n, m in zip(image_e.shape, response.shape, strict=True))
     if sigma <= 0.0 or norm <= 0.0:
         return np.zeros(shape)
-    out = fftconvolve(image_e - middle, response[::-1, ::-1], mode="valid")
+    out = scipy.signal.fftconvolve(image_e - middle, response[::-1, ::-1], mode="valid")
     return np.asarray(out) / (sigma * norm)
 
 
@@ -62,7 +61,7 @@ def peak_near(statistic: Array, row: int, column: int, within_px: float) -> tupl
 
 def threshold_sigma(false_alarm_rate: float) -> float:
     """Threshold [sigma] that Gaussian noise passes at a rate: Q^-1(rate) (Kay 1998, 3.3)."""
-    return float(-ndtri(false_alarm_rate))
+    return float(-scipy.special.ndtri(false_alarm_rate))
 
 
 def detection_probability(
@@ -73,12 +72,14 @@ def detection_probability(
     Each by Q(threshold - snr): the matched filter's statistic is Gaussian of variance 1 and mean
     snr (Kay 1998, eq. 3.9); frames are independent. 0 of fewer frames than are needed.
     """
-    one, tries = ndtr(np.asarray(snr, float) - threshold), np.asarray(frames)
+    one, tries = scipy.special.ndtr(np.asarray(snr, float) - threshold), np.asarray(frames)
     enough = tries >= needed
-    return np.where(enough, bdtrc(needed - 1, np.where(enough, tries, needed), one), 0.0)
+    return np.where(
+        enough, scipy.special.bdtrc(needed - 1, np.where(enough, tries, needed), one), 0.0
+    )
 
 
 def snr_of(probability: float, threshold: float, frames: int = 1, needed: int = 1) -> float:
     """The SNR of a frame at which `detection_probability` is a probability in (0, 1)."""
-    one = bdtri(needed - 1, frames, 1.0 - probability)
-    return threshold + float(ndtri(one))
+    one = scipy.special.bdtri(needed - 1, frames, 1.0 - probability)
+    return threshold + float(scipy.special.ndtri(one))

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from pipeline.physics.constants import (
@@ -189,10 +190,9 @@ def spectrum_from_box_means(edges_m: Array, means: Array, step_m: float) -> tupl
     edges_m : (n+1,) ascending, metres; means : (n,) not negative, any unit
     Returns wavelength_m (k,) and values (k,) in the unit of `means`.
     """
-    from scipy.interpolate import PchipInterpolator  # a quarter second that few scenes need
 
     cumulative = np.concatenate([[0.0], np.cumsum(means * np.diff(edges_m))])
-    slope = PchipInterpolator(edges_m, cumulative).derivative()
+    slope = scipy.interpolate.PchipInterpolator(edges_m, cumulative).derivative()
     counts = np.maximum(1, np.rint(np.diff(edges_m) / step_m)).astype(int)
     boxes = zip(edges_m[:-1], edges_m[1:], counts, strict=True)
     pieces = [np.linspace(low, high, count, endpoint=False) for low, high, count in boxes]

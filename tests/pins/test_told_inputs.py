@@ -227,7 +227,7 @@ ASKED = {
     "curves": 17,
     "spectra": 12,
     "psf_tables": 29,
-    "colour_fits": 22,
+    "colour_fits": 20,
     "cosmic_rays": 20,
     "detector": 11,
     "distortion": 9,

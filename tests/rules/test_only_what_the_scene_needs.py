@@ -59,6 +59,7 @@ TARGET = {
 }
 UNNEEDED = {
     "sky": ["healpy", "pyarrow", "speclite", "sgp4", "astropy", "distributed", "fastapi", "pandas",
+            "scipy.fft", "scipy.special",
             "catalog_tools.query.query", "catalog_tools.query.layers",
             "catalog_tools.geometry.regions",
             "catalog_tools.ingest.ingest", "sqlalchemy", "xarray", "pipeline.plan.sky.stray_light",

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from catalog_tools.documents import Arguments, JsonObject
@@ -137,9 +138,8 @@ def _digest(body: MeshBody, files: Mapping[tuple[str, Unit], MeshFile], palette:
 
 
 def _placed(part: MeshPart, facets: Facets, on: int | None) -> RigidPart:
-    from scipy.spatial.transform import Rotation
 
-    rotation = Rotation.from_quat(np.roll(part.quaternion, -1)).as_matrix()
+    rotation = scipy.spatial.transform.Rotation.from_quat(np.roll(part.quaternion, -1)).as_matrix()
     joint = None
     if part.joint is not None:
         j = part.joint

@@ -5,9 +5,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
 
+from pipeline.physics.fast_sizes import fast_size
 from pipeline.physics.motion.streak import Path, transfer
 from pipeline.physics.psf.response import Core, core_spectrum, frequencies
 
@@ -70,4 +71,4 @@ def _spectrum(core: Core, rows_px: int, columns_px: int) -> NDArray[np.complex12
 
 def _period(side: int, core: Core, path: Path) -> int:
     """Period [px] beyond which no light of a source off the window comes back into it."""
-    return int(scipy.fft.next_fast_len(side + 2 * int(np.ceil(reach_px(core, path))), real=True))
+    return fast_size(side + 2 * int(np.ceil(reach_px(core, path))), real=True)

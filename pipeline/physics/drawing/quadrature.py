@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numba import njit
 from numpy.typing import NDArray
-from scipy.special import i0e
 
 from pipeline.physics.drawing.wings import CUT_FROM
 from pipeline.physics.motion.streak import Path
@@ -289,7 +289,7 @@ def _blurred(optics: Optics, sigma_px: float, r_px: Array, width_px: float) -> A
         part = slice(first, math.ceil(((k + BLOCK) * width_px + beyond) / wide))
         near = s[part].ravel()[None, :]
         kernel = np.exp(-0.5 * ((r.ravel()[:, None] - near) / sigma_px) ** 2)
-        kernel *= i0e(r.ravel()[:, None] * near / sigma_px**2)
+        kernel *= scipy.special.i0e(r.ravel()[:, None] * near / sigma_px**2)
         out[k : k + BLOCK] = (kernel * light[part].ravel()).sum(axis=1).reshape(r.shape)
     return out
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
+import scipy
 from numba import njit
 from numpy.typing import NDArray
 
 from pipeline.physics.drawing.spectral_fold import segments_of
+from pipeline.physics.fast_sizes import fast_size
 from pipeline.physics.motion.streak import Path, pieces
 from pipeline.physics.psf.response import Core, taper
 
@@ -79,7 +80,7 @@ def roll_off(f: Array, limit: float) -> Array:
 def band_of(core: Core, path: Path, longest_px: float) -> TransferBand:
     """Cells of frequency of a core swept along a path that is cut at `longest_px`."""
     os, n = core.oversampling, core.samples.shape[0]
-    size = scipy.fft.next_fast_len(2 * n if n <= FINE_SAMPLES else n, real=True)
+    size = fast_size(2 * n if n <= FINE_SAMPLES else n, real=True)
     step = os / size
     amount = np.abs(scipy.fft.rfft2(core.samples, s=(size, size), workers=1)) / os**2
     fy, fx = scipy.fft.fftfreq(size, 1.0 / os), np.arange(size // 2 + 1) * step

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.spectral_band import TransferBand, band_of
 from pipeline.physics.drawing.spectral_spread import Kernel
+from pipeline.physics.fast_sizes import fast_size
 from pipeline.physics.motion.streak import Path, half_extent_px, pieces
 from pipeline.physics.psf.response import Core
 
@@ -225,7 +225,7 @@ def _plan(need: _Need, density: float, limit: float, width: int) -> SpectralPlan
     (pad_y, py), (pad_x, px) = (
         _period(n, r, width, density) for n, r in zip(need.shape, need.reach, strict=True)
     )
-    ny, nx = (scipy.fft.next_fast_len(int(np.ceil(density * p)), real=True) for p in (py, px))
+    ny, nx = (fast_size(int(np.ceil(density * p)), real=True) for p in (py, px))
     keep = min(int(limit * py), (ny - 1) // 2), min(int(limit * px), (nx - 1) // 2)
     limit = min(keep[0] / py, keep[1] / px)
     kept, cut = need.band.kept(limit), need.band.cut(limit)
@@ -262,7 +262,7 @@ def _period(pixels: int, reach_px: float, width: int, density: float) -> Pair:
     """
     reach = int(np.ceil(reach_px / PAD_STEP_PX)) * PAD_STEP_PX
     margin = int(np.ceil((0.5 * width + 1.0) / density))
-    period = scipy.fft.next_fast_len(pixels + 2 * (reach + margin), real=True)
+    period = fast_size(pixels + 2 * (reach + margin), real=True)
     return reach + margin, int(period)
 
 

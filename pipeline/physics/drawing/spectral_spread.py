@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numba import njit
 from numpy.typing import NDArray
-from scipy.special import i0
 
 from pipeline.physics.drawing.spectral_threads import each, strips
 
@@ -40,7 +40,11 @@ class Kernel:
         """Weight of a grid point `u_cells` from the source; 1 at 0, 0 beyond half the width."""
         z = 2.0 * np.asarray(u_cells, float) / self.width
         inside = np.sqrt(np.clip(1.0 - z * z, 0.0, None))
-        return np.where(np.abs(z) <= 1.0, i0(self.beta * inside) / i0(self.beta), 0.0)
+        return np.where(
+            np.abs(z) <= 1.0,
+            scipy.special.i0(self.beta * inside) / scipy.special.i0(self.beta),
+            0.0,
+        )
 
     def transform(self, turns: Array) -> Array:
         """Fourier transform at `turns` cycles per cell: w sinh(s) / (s I0(b)) (Fourmont 2003)."""
@@ -48,7 +52,7 @@ class Kernel:
         root = np.sqrt(np.abs(square))
         safe = np.maximum(root, 1e-6)
         grown = np.where(square > 0, np.sinh(np.minimum(safe, self.beta)), np.sin(safe)) / safe
-        return self.width * grown / i0(self.beta)
+        return self.width * grown / scipy.special.i0(self.beta)
 
     def alias_ratio(self, turns: Array, single: bool) -> Array:
         """Bound of what a unit at other frequencies adds at `turns`, over what belongs there: (n,).
@@ -57,8 +61,10 @@ class Kernel:
         hold at once (the kernel jumps by 1 / I0(b) at its ends, and a Fourier series overshoots a
         jump by 9%), and what the weights may err by.
         """
-        rest = JUMP_PARTS / i0(self.beta) + self.weight_error(single)
-        return _alias_ratio(np.asarray(turns, float), self.width, self.beta, i0(self.beta), rest)
+        rest = JUMP_PARTS / scipy.special.i0(self.beta) + self.weight_error(single)
+        return _alias_ratio(
+            np.asarray(turns, float), self.width, self.beta, scipy.special.i0(self.beta), rest
+        )
 
     def weight_error(self, single: bool) -> float:
         """Largest error of the weights of one axis together: polynomials and their arithmetic."""

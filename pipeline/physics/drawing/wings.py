@@ -12,10 +12,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
+import scipy
 from numba import njit
 from numpy.typing import NDArray
 
+from pipeline.physics.fast_sizes import fast_size
 from pipeline.physics.motion.streak import POINT, Path, transfer
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import Core, taper
@@ -52,8 +53,7 @@ def wing_grid(
     """Grid for a block of pixels at `origin` (y, x) and the sources up to `reach_px` off it."""
     pad = int(np.ceil(reach_px / spacing_px)) + SPLINE_PX
     rows, columns = (
-        scipy.fft.next_fast_len(int(np.ceil(n / spacing_px)) + 2 * pad + 1, real=True)
-        for n in block_shape
+        fast_size(int(np.ceil(n / spacing_px)) + 2 * pad + 1, real=True) for n in block_shape
     )
     return WingGrid(
         rows, columns, spacing_px, origin[0] - pad * spacing_px, origin[1] - pad * spacing_px
@@ -68,7 +68,7 @@ def wing_kernel(blur: Blur, core: Core, grid: WingGrid, reach_px: float) -> NDAr
     reaches wide, so that it is the same for every block. Complex (rows, columns // 2 + 1).
     """
     h = grid.spacing_px
-    n = scipy.fft.next_fast_len(int(np.ceil(4.0 * reach_px / h)), real=True)
+    n = fast_size(int(np.ceil(4.0 * reach_px / h)), real=True)
     fy, fx = scipy.fft.fftfreq(n, float(h)), scipy.fft.rfftfreq(n, float(h))
     half = int(np.ceil(reach_px / h))
     at = np.arange(-half, half + 1)
@@ -120,7 +120,7 @@ def wing_error(blur: Blur, core: Core, spacing_px: int, path: Path = POINT) -> f
     kernel = wing_kernel(blur, core, grid, reach) * transfer(
         *grid_frequencies(grid), path.x_px, path.y_px, path.weight
     )
-    n = scipy.fft.next_fast_len(2 * size + 2 * int(2.0 * core.radius_px))
+    n = fast_size(2 * size + 2 * int(2.0 * core.radius_px))
     enough = 4 if n * TEST_SAMPLES > TEST_SIDE and blur.band_limit(1e-2) <= 1.0 else TEST_SAMPLES
     enough = min(enough, next((k for k in (TEST_SAMPLES, 4) if n * k <= LARGEST_SIDE), 2))
     os = min(core.oversampling, enough)
@@ -173,7 +173,7 @@ def _wing_spectrum(
     """Transform of a wing at rest on a square: itself, fy (n,), fx (n // 2 + 1,), samples a px."""
     most = next((os for os in (TEST_SAMPLES, 4) if side_px * os <= TEST_SIDE), 2)
     os = min(core.oversampling, most)
-    n = scipy.fft.next_fast_len(int(np.ceil(min(side_px, TEST_SIDE))) + 1) * os
+    n = fast_size(int(np.ceil(min(side_px, TEST_SIDE))) + 1) * os
     fy, fx = scipy.fft.fftfreq(n, 1.0 / os), scipy.fft.rfftfreq(n, 1.0 / os)
     return _wing_at(blur, core, fy, fx, os), fy, fx, os
 
@@ -230,7 +230,7 @@ def _smoothed(core: Core, most: int) -> tuple[Array, Array, int]:
     half, os = core.samples.shape[0] // 2, core.oversampling
     if os <= most:
         return core.samples, np.arange(-half, half + 1) / os, os
-    period = scipy.fft.next_fast_len(-(-2 * half // os) + 8)
+    period = fast_size(-(-2 * half // os) + 8)
     fine, n = period * os, period * most
     grid = np.zeros((fine, fine))
     index = np.arange(-half, half + 1) % fine

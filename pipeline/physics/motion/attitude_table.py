@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from pipeline.physics.vectors import unit
@@ -92,9 +93,10 @@ def _slerp(table: AttitudeTable, at_s: Array) -> Array:
 
 
 def _spline(table: AttitudeTable, at_s: Array) -> Array:
-    from scipy.spatial.transform import Rotation, RotationSpline
 
-    spline = RotationSpline(table.time_s, Rotation.from_quat(table.q))
+    spline = scipy.spatial.transform.RotationSpline(
+        table.time_s, scipy.spatial.transform.Rotation.from_quat(table.q)
+    )
     return np.asarray(spline(at_s).as_quat())
 
 

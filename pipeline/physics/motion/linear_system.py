@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import expm, matrix_balance
 
 Array = NDArray[np.float64]
 
@@ -47,14 +47,14 @@ def discretise(a: Array, b: Array, step_s: float) -> LinearStep:
     n = len(a)
     if step_s == 0.0 or n == 0:
         return LinearStep(np.zeros((n, n)), np.zeros((n, n)))
-    _, (scale, _) = matrix_balance(a, permute=False, separate=True)
+    _, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
     a = a / scale[:, None] * scale
     b = b / scale[:, None]
     size = float(np.abs(a).sum(axis=1).max()) * step_s
     doublings = max(0, int(np.ceil(np.log2(max(size, 1e-300) / BASE_NORM))))
     h = step_s / 2.0**doublings
     block = np.block([[-a, b @ b.T], [np.zeros((n, n)), a.T]]) * h
-    whole = expm(block)
+    whole = scipy.linalg.expm(block)
     phi = whole[n:, n:].T
     noise = phi @ whole[:n, n:]
     step = LinearStep(_exponential_less_one(a * h), 0.5 * (noise + noise.T))

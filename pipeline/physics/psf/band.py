@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
 
+from pipeline.physics.fast_sizes import fast_size
 from pipeline.physics.psf.aperture import Pupil
 from pipeline.physics.psf.pupil import Airy, Blur, Optics, Transfer
 from pipeline.physics.psf.radial import look_up, radial_table
@@ -277,7 +278,7 @@ class _Field:
         scale = max(blur.optics.scale_px, blur.jitter_px, blur.diffusion_px)
         period = int(np.ceil(widths * scale)) + 12
         finer = max(blur.band_limit(1e-3), min(1.0, SAMPLES / (6.0 * period)))
-        half = scipy.fft.next_fast_len(int(np.ceil(3.0 * period * finer)))
+        half = fast_size(int(np.ceil(3.0 * period * finer)))
         self._f, self._over_area = np.arange(half + 1) / period, 1.0 / period**2
         self._transfer = self._of(blur)
         self.light = self._image(self._transfer)

@@ -6,9 +6,9 @@ from dataclasses import Field, dataclass
 from typing import ClassVar, Protocol
 
 import numpy as np
+import scipy
 from numba import njit
 from numpy.typing import NDArray
-from scipy.special import j1
 
 Array = NDArray[np.float64]
 Transfer = NDArray[np.float64] | NDArray[np.complex128]
@@ -175,8 +175,8 @@ class Airy:
         """Light per px^2 at a radius, per unit light: that of an annulus."""
         e = self.obscuration
         x = np.pi * np.maximum(r_px, 1e-9 * self.q_px) / self.q_px
-        inner = e * j1(e * x) if e > 0.0 else 0.0
-        amplitude = 2.0 * (j1(x) - inner) / x
+        inner = e * scipy.special.j1(e * x) if e > 0.0 else 0.0
+        amplitude = 2.0 * (scipy.special.j1(x) - inner) / x
         return np.pi / (4.0 * self.q_px**2 * (1.0 - e * e)) * amplitude**2
 
     @property

@@ -8,9 +8,9 @@ from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
+import scipy
 from numba import njit
 from numpy.typing import NDArray
-from scipy.special import j0, j1
 
 Array = NDArray[np.float64]
 Mtf = Callable[[Array], Array]
@@ -132,8 +132,10 @@ def light_beyond(mtf: Mtf, top: float, radius_px: float) -> float:
     """
     f, weight = _panels(top, radius_px)
     turn = 2.0 * np.pi * radius_px * f
-    inner = float(np.sum(weight * (1.0 - mtf(f)) * j1(turn)))  # a BLAS may reorder its sum
-    return float(j0(2.0 * np.pi * top * radius_px)) + 2.0 * np.pi * radius_px * inner
+    inner = float(
+        np.sum(weight * (1.0 - mtf(f)) * scipy.special.j1(turn))
+    )  # a BLAS may reorder its sum
+    return float(scipy.special.j0(2.0 * np.pi * top * radius_px)) + 2.0 * np.pi * radius_px * inner
 
 
 def intensity(mtf: Mtf, top: float, r_px: Array) -> Array:
@@ -141,7 +143,7 @@ def intensity(mtf: Mtf, top: float, r_px: Array) -> Array:
     out = np.empty(np.size(r_px))
     for i, r in enumerate(np.ravel(r_px)):
         f, weight = _panels(top, float(r))
-        out[i] = np.sum(weight * 2.0 * np.pi * f * mtf(f) * j0(2.0 * np.pi * r * f))
+        out[i] = np.sum(weight * 2.0 * np.pi * f * mtf(f) * scipy.special.j0(2.0 * np.pi * r * f))
     return out.reshape(np.shape(r_px))
 
 
@@ -180,12 +182,11 @@ def light_table(mtf: Mtf, top: float, scale_px: float, farthest: float) -> Calla
 
     farthest : last radius in units of `scale_px`; beyond, the last power law goes on.
     """
-    from scipy.interpolate import PchipInterpolator
 
     radii = scale_px * np.geomspace(NEAREST, farthest, LIGHT_RADII)
     light = np.array([light_beyond(mtf, top, r) for r in radii])
     light = np.minimum.accumulate(np.clip(light, 1e-12, 1.0))
-    curve = PchipInterpolator(np.log(radii), np.log(light))
+    curve = scipy.interpolate.PchipInterpolator(np.log(radii), np.log(light))
     ratio = np.log(light[-1] / light[-6]) / np.log(radii[-1] / radii[-6])
     slope = float(min(ratio, -1.0))  # no blur with a falling transfer function falls slower
 

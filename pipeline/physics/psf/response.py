@@ -11,10 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
+import scipy
 from numba import njit
 from numpy.typing import NDArray
 
+from pipeline.physics.fast_sizes import fast_size
 from pipeline.physics.psf.pupil import Blur
 
 Array = NDArray[np.float64]
@@ -103,7 +104,7 @@ def compact_core(blur: Blur, radius_px: float) -> Core:
     """
     os = oversampling_for(blur)
     half = int(np.ceil(radius_px)) + 2
-    period = scipy.fft.next_fast_len(2 * half + 8)
+    period = fast_size(2 * half + 8)
     n = period * os
     fy, fx = scipy.fft.fftfreq(n, 1.0 / os)[:, None], scipy.fft.rfftfreq(n, 1.0 / os)[None, :]
     at = scipy.fft.fftfreq(n, 1.0 / n) / os
@@ -139,8 +140,7 @@ def window(core: CoreGrid, reach_y: float, reach_x: float) -> tuple[int, int, in
     """Half-heights and periods [px] of the window that holds a core swept by +-reach."""
     half_y = int(np.ceil(core.radius_px + reach_y)) + MARGIN_PX
     half_x = int(np.ceil(core.radius_px + reach_x)) + MARGIN_PX
-    fast = scipy.fft.next_fast_len
-    return half_y, half_x, fast(2 * half_y + 4), fast(2 * half_x + 4)
+    return half_y, half_x, fast_size(2 * half_y + 4), fast_size(2 * half_x + 4)
 
 
 def frequencies(core: CoreGrid, period_y: int, period_x: int) -> tuple[Array, Array]:

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy.fft
+import scipy
 from numba import njit
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
+from pipeline.physics.fast_sizes import fast_size
 from pipeline.physics.psf.pupil import Transfer
 
 Array = NDArray[np.float64]
@@ -216,7 +217,7 @@ def _band(table: Sampled) -> SampledBand:
     Where that is finer than FINE_BAND more is lost, up to MOST_LEFT_OUT: sources of which it would
     show are the plan's matter.
     """
-    ny, nx = (scipy.fft.next_fast_len(2 * n, real=True) for n in table.samples.shape)
+    ny, nx = (fast_size(2 * n, real=True) for n in table.samples.shape)
     spectrum = scipy.fft.rfft2(table.samples, s=(ny, nx))
     size = np.abs(spectrum)
     h = table.spacing_px
@@ -254,7 +255,7 @@ def _band(table: Sampled) -> SampledBand:
 def _spectrum(table: Sampled) -> SampleLattice:
     """Transform of the samples over the kernel's own transform, cropped to the band."""
     ny, nx = table.samples.shape
-    period = tuple(scipy.fft.next_fast_len(max(FINER * n, 4 * WIDTH), real=True) for n in (ny, nx))
+    period = tuple(fast_size(max(FINER * n, 4 * WIDTH), real=True) for n in (ny, nx))
     half_y = int(np.ceil(table.band.limit * period[0] * table.spacing_px)) + WIDTH
     half_x = int(np.ceil(table.band.limit * period[1] * table.spacing_px)) + WIDTH
     half_y, half_x = min(half_y, period[0] // 2 + WIDTH), min(half_x, period[1] // 2 + WIDTH)

@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import gamma, kv
 
-from pipeline.physics.psf.seeing import KOLMOGOROV_EXPONENT, KOLMOGOROV_FWHM, Kolmogorov
+from pipeline.physics.psf.seeing import KOLMOGOROV_FWHM, Kolmogorov
 
 Array = NDArray[np.float64]
 
 ORDER = 5.0 / 6.0
-# Half of the structure function is SATURATES (L0 / r0)^(5/3) far beyond the outer scale.
-SATURATES = float(gamma(11 / 6) * gamma(ORDER) / (2.0 * np.pi ** (8 / 3))) * KOLMOGOROV_EXPONENT
+# Half of the structure function is SATURATES (L0 / r0)^(5/3) far beyond the outer scale:
+# Gamma(11/6) Gamma(5/6) / (2 pi^(8/3)) times KOLMOGOROV_EXPONENT.
+SATURATES = 0.08631432991183462
 SERIES_UP_TO, TERMS = 1.0, 9  # of the argument: the terms left out are below 1e-15 there
 LARGEST = 700.0  # argument beyond which K is 0 in double precision
 LEAST_OUTER_R0 = 20.0  # outer scale over Fried's parameter: Tokovinin's width holds from there on
@@ -64,7 +65,12 @@ def levelled(x: Array) -> Array:
     for k in range(1, TERMS):
         a, b = a * q / (k * (k - ORDER)), b * q / (k * (k + ORDER))
         falling, rising = falling + a, rising + b
-    near = gamma(1.0 - ORDER) / gamma(1.0 + ORDER) * q**ORDER * rising - falling
+    near = (
+        scipy.special.gamma(1.0 - ORDER) / scipy.special.gamma(1.0 + ORDER) * q**ORDER * rising
+        - falling
+    )
     big = np.clip(x, SERIES_UP_TO, LARGEST)
-    far = 1.0 - 2.0 ** (1.0 - ORDER) / gamma(ORDER) * big**ORDER * kv(ORDER, big)
+    far = 1.0 - 2.0 ** (1.0 - ORDER) / scipy.special.gamma(ORDER) * big**ORDER * scipy.special.kv(
+        ORDER, big
+    )
     return np.where(x < SERIES_UP_TO, near, far)

@@ -6,8 +6,8 @@ import math
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
@@ -94,7 +94,7 @@ def jitter_waves(part: Jitter, index: int, seed: int, split_hz: float) -> Waves:
     bins = jitter_bins(part, split_hz)
     key = stream_key(seed, f"pointing_jitter/{index}")
     draws = standard_normals(len(bins.variance), 5, 0, 0, 0, *key)
-    return jitter.waves(bins, split_hz, draws[:, :4], ndtr(draws[:, 4]))
+    return jitter.waves(bins, split_hz, draws[:, :4], scipy.special.ndtr(draws[:, 4]))
 
 
 def mode_states(
