@@ -17,6 +17,7 @@ from distributed.core import Status
 from ..errors import BadInput, TryLater
 
 LOOK_S = 20.0  # Slurm is asked so often which jobs there are
+MOST_IN_VAIN = 20  # jobs in a row that end before their worker came
 SETTINGS = "settings in jobqueue.slurm of Dask's configuration"
 OF_THE_MOMENT = ("contact", "timed out", "temporarily")  # sbatch's words for what may pass
 
@@ -25,6 +26,7 @@ class SlurmJob(SLURMJob):
     """A job of Slurm; one that sbatch refuses counts as one that has ended."""
 
     refusal: Exception | None = None
+    came = False  # a worker of it has been at the scheduler
 
     async def start(self) -> None:
         try:
@@ -46,14 +48,24 @@ class Jobs(SLURMCluster):
     lost = ""  # why the last job that is gone has ended
     in_queue = ""  # state and reason of the jobs that are there
     refusal: Exception | None = None
+    in_vain = 0  # jobs in a row that ended before their worker came
+    given_up = ""  # why no more jobs are asked for
 
     def _new_worker_name(self, _: int) -> str:
         """A name that none had before: the scheduler may still know the worker of an ended job."""
         return f"{self._name}-{next(self._numbers)}"
 
     async def forget_ended(self) -> None:
-        """Forget the jobs that Slurm does not have any more, so that others take their place."""
+        """Forget the jobs that Slurm does not have any more, so that others take their place.
+
+        Where one after the other ends before its worker came, the scheduler is closed.
+        """
+        if self.scheduler is None:
+            return
         known = dict(self.workers)
+        names = {str(worker.name) for worker in self.scheduler.workers.values()}
+        for name, job in known.items():
+            job.came |= any(name in (n, _job_of(n)) for n in names)
         if not known or time.monotonic() - self.looked_s < LOOK_S:
             return
         self.looked_s = time.monotonic()
@@ -72,9 +84,13 @@ class Jobs(SLURMCluster):
         for name, job in known.items():
             if job.job_id not in queue:
                 self.lost, self.refusal = f"Slurm's job {job.job_id}", job.refusal
+                self.in_vain = 0 if job.came else self.in_vain + 1
                 job.status = Status.closed
                 self.workers.pop(name, None)
                 self.worker_spec.pop(name, None)
+        if self.in_vain >= MOST_IN_VAIN and not names:
+            self.given_up = f"{self.in_vain} jobs in a row ended before a worker came"
+            await self.scheduler.close()
 
 
 class FollowsJobs(Adaptive):
@@ -87,16 +103,17 @@ class FollowsJobs(Adaptive):
         await super().adapt()
 
 
-def _job_of(worker: object) -> str:
+def _job_of(worker: str) -> str:
     """The job of a worker that is one of several processes of a job."""
-    return str(getattr(worker, "name", "")).rpartition("-")[0]
+    return worker.rpartition("-")[0]
 
 
 @contextmanager
 def cluster_of_jobs(folder: Path, most: int) -> Iterator[Jobs]:
     """A scheduler here and from one to `most` jobs of Slurm; certificates in a folder.
 
-    Raises BadInput for settings that cannot be used.
+    Raises BadInput for settings that cannot be used, TryLater where jobs end one after the other
+    before a worker comes.
     """
     settings = dask.config.get("jobqueue.slurm")
     if settings["cores"] is None or settings["memory"] is None:
@@ -120,9 +137,16 @@ def cluster_of_jobs(folder: Path, most: int) -> Iterator[Jobs]:
         raise BadInput("--scheduler", "slurm", f"{SETTINGS}; {told}") from None
     # Jobs are forgotten when Slurm has them no more, not when their workers are silent.
     with cluster, dask.config.set({"distributed.deploy.lost-worker-timeout": "3650 days"}):
-        key = {"worker_key": _job_of} if grouped else {}
+        key = {"worker_key": lambda worker: _job_of(str(worker.name))} if grouped else {}
         cluster.adapt(Adaptive=FollowsJobs, minimum_jobs=1, maximum_jobs=most, **key)
-        yield cluster
+        try:
+            yield cluster
+        except TryLater as error:
+            if not cluster.given_up:
+                raise
+            last = cluster.refusal and _refused(cluster.refusal)
+            why = last or f"last {cluster.lost}, whose log says why"
+            raise TryLater(f"{cluster.given_up}: {why}") from error
 
 
 def wait_for_a_job(client: Client, cluster: Jobs, patience_s: float) -> None:

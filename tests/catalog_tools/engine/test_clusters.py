@@ -408,6 +408,41 @@ def test_jobs_of_several_processes_that_end_are_followed_by_others(with_slurm):
     assert len((folder / "jobs").read_text().split()) >= 2
 
 
+ONCE = """#!/bin/sh
+if [ -s {folder}/jobs ]; then
+    echo 999999999 >>{folder}/jobs
+    echo "Submitted batch job 999999999"
+    exit
+fi
+cp "$1" {folder}/script
+setsid sh {folder}/script >{folder}/log 2>&1 &
+echo $! >>{folder}/jobs
+echo "Submitted batch job $!"
+"""
+
+
+@pytest.mark.slow
+def test_jobs_that_end_one_after_the_other_without_a_worker_are_given_up(with_slurm, monkeypatch):
+    """The first job's worker is killed; what follows it ends at once, for ever."""
+    monkeypatch.setattr("catalog_tools.engine.slurm_jobs.MOST_IN_VAIN", 3)
+    folder = with_slurm(sbatch=ONCE)
+
+    def killing(scheduler) -> None:
+        for _ in scheduler.each(slowly, b"12345", range(400)):
+            os.killpg(int((folder / "jobs").read_text().split()[0]), signal.SIGKILL)
+
+    settings = {"jobqueue.slurm": slurm_settings(), "distributed.comm.timeouts.connect": 2}
+    with (
+        dask.config.set(settings),
+        pytest.raises(TryLater) as error,
+        open_scheduler("slurm", 1) as scheduler,
+    ):
+        killing(scheduler)
+    told = "3 jobs in a row ended before a worker came: last Slurm's job 999999999"
+    assert str(error.value).startswith(told)
+    assert len((folder / "jobs").read_text().split()) == 4
+
+
 REFUSALS = {
     "Invalid partition name specified": (BadInput, "Invalid partition name specified"),
     "Unable to contact slurm controller (connect failure)": (TryLater, "Unable to contact"),
