@@ -68,6 +68,14 @@ def test_limits_heights_are_those_of_the_ground():
     assert height_of_line_m(A_M * 1.1 * up, -up, AXIS) == pytest.approx(-A_M)
 
 
+def test_a_target_before_the_disc_over_the_pole_has_its_own_height():
+    """The line ends at the target, where the stretched axis makes it longer than its range: its
+    height is that of the target above the pole, which is stretched by 1 / (1 - f)."""
+    place, below_m = (B_M + 1e6) * AXIS, np.array([9e5, 9.99e5, 1.001e6])
+    found = height_of_line_m(place, -AXIS, AXIS, below_m)
+    np.testing.assert_allclose(found, (1e6 - below_m) * A_M / B_M, atol=1e-6)
+
+
 def test_it_is_continuous_as_a_target_comes_down_before_the_disc():
     place, u = np.array([4.2e7, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])
     near = height_of_line_m(place, u, AXIS, np.array([1e6, 3.55e7, 3.56e7]))
