@@ -26,6 +26,7 @@ from pipeline.route.run import Options, render
 from pipeline.route.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube, read_layer
+from pipeline.store.info import describe
 from pipeline.store.markers import markers_present, read_marker
 from pipeline.store.product import cells_digest, cells_of, check, content_digest
 from pipeline.store.truth import TruthTable, part_path, write_part
@@ -250,6 +251,19 @@ def test_cells_know_their_layer(made):
     markers = [read_marker(path) for path in markers_present(made)]
     other = [replace(m, cells={f"{name}_e": c for name, c in m.cells.items()}) for m in markers]
     assert digest(markers) == content_digest(made) != digest(other)
+
+
+def test_info_tells_the_bytes_of_all_files_at_any_depth(product):
+    """What a product takes on disk: chunks lie five folders down, and count as what lies on top."""
+    before = describe(product)["bytes"]
+    assert before == sum(
+        (Path(folder) / name).stat().st_size
+        for folder, _, names in os.walk(product)
+        for name in names
+    )
+    for place, size in (("notes.txt", 7), ("cube.zarr/dn/c/0/0/more", 1000)):
+        (product / place).write_bytes(size * b"x")
+    assert describe(product)["bytes"] == before + 1007
 
 
 def test_one_chunking_along_frames(made, tmp_path):
