@@ -257,6 +257,19 @@ def test_the_radius_of_several_parts_is_that_of_the_largest() -> None:
         assert radius_m(Target.model_validate(one).body) == 2.0
 
 
+@pytest.mark.parametrize(
+    ("shape", "radius"),
+    [({"kind": "plate", "area_m2": 2.0}, 1.0), ({"kind": "box", "size_m": [4.0, 6.0, 12.0]}, 7.0),
+     ({"kind": "cube", "edge_m": 2.0}, 3.0**0.5)],
+)  # fmt: skip
+def test_the_radius_of_a_flat_body_is_that_of_its_farthest_corner(
+    shape: dict[str, Any], radius: float
+) -> None:
+    """From its middle: half the diagonal, of a plate that of a square."""
+    one = target(state(*OBSERVER)) | {"body": shape | {"albedo": 0.3}}
+    assert radius_m(Target.model_validate(one).body) == pytest.approx(radius, rel=1e-12)
+
+
 def test_limits_of_limbs():
     assert limb_px(1.0, 1e8, 1e-5) == pytest.approx(1e-3, rel=1e-12)
     assert np.isinf(limb_px(2.0, 1.0, 1e-5))
@@ -359,6 +372,17 @@ def test_a_sensor_without_oblateness_is_doubted(
     chords = [2e-3 * axis_m * np.sin(0.5 * min(abs(v), np.pi)) for v in (node, along)]
     expected = [days, np.degrees(node), *chords]
     assert numbers == pytest.approx(expected, rel=0.02, abs=1e-3)
+
+
+def test_a_sensor_that_went_round_is_off_by_the_diameter() -> None:
+    """In a year a sun-synchronous node comes back to where it was; in between it was opposite."""
+    orbit = {"kind": "keplerian", "semi_major_axis_m": 7.158e6, "eccentricity": 0.001,
+             "inclination_deg": 98.6, "true_anomaly_deg": 0.0,
+             "epoch": "2019-03-20T09:00:00Z"}  # fmt: skip
+    observer = {"kind": "orbit", "orbit": orbit}
+    scene = parse_scene(SCENE | {"observer": observer, "targets": [target(TLE)]})
+    (told,) = sensor_remarks(scene, 0.0, 365.25 * 86_400.0)
+    assert re.findall(r"(\S+) km", told) == ["1.43e+04", "1.43e+04"]
 
 
 def test_sensors_that_need_no_doubt() -> None:
