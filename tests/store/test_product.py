@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
 
+import google_crc32c
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -22,12 +23,14 @@ import zarr
 
 from pipeline.calibrate import calibrate
 from pipeline.errors import BadInput, Damaged, DiskFull, Incomplete, TryLater
+from pipeline.plan.tiles import cut_up
 from pipeline.route.run import Options, render
 from pipeline.route.shares import Share
 from pipeline.spec.load import parse_scene
+from pipeline.spec.scene import CELL_PX
 from pipeline.store.cube import open_cube, read_layer
 from pipeline.store.info import describe
-from pipeline.store.markers import markers_present, read_marker
+from pipeline.store.markers import cell_checksums, markers_present, read_marker
 from pipeline.store.product import cells_digest, cells_of, check, content_digest
 from pipeline.store.truth import TruthTable, part_path, write_part
 
@@ -264,6 +267,27 @@ def test_info_tells_the_bytes_of_all_files_at_any_depth(product):
     for place, size in (("notes.txt", 7), ("cube.zarr/dn/c/0/0/more", 1000)):
         (product / place).write_bytes(size * b"x")
     assert describe(product)["bytes"] == before + 1007
+
+
+def test_cells_know_their_place_whatever_the_tile():
+    """A cell counts in the content digest by its row and column of the frame, not of its tile."""
+    shape = (2 * CELL_PX, 3 * CELL_PX)
+    values = np.arange(shape[0] * shape[1], dtype=np.float32).reshape(shape)
+    for sides in (shape, (CELL_PX, 2 * CELL_PX), (CELL_PX, CELL_PX)):
+        found = {
+            (row, column): crc
+            for t in cut_up(shape, sides)
+            for row, column, crc in cell_checksums(
+                t, values[t.y0 : t.y0 + t.rows, t.x0 : t.x0 + t.columns]
+            )
+        }
+        assert found == {
+            (i, j): google_crc32c.value(
+                values[i * CELL_PX : (i + 1) * CELL_PX, j * CELL_PX : (j + 1) * CELL_PX].tobytes()
+            )
+            for i in range(2)
+            for j in range(3)
+        }
 
 
 def test_one_chunking_along_frames(made, tmp_path):
