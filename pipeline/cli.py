@@ -5,11 +5,11 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from importlib.metadata import version as version_of
 from typing import Annotated
 
 import typer
 
+from catalog_tools.engine.code import own_version
 from catalog_tools.engine.heap import few_collections, one_heap
 from pipeline.commands.lazy import lazy_group
 from pipeline.commands.table import COMMANDS
@@ -28,7 +28,7 @@ app = lazy_group(COMMANDS, completion=True, name="nightglass")
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        print(f"nightglass {version_of('nightglass')}")
+        print(f"nightglass {own_version()}")
         raise typer.Exit
 
 

@@ -5,12 +5,20 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 
 PACKAGES = ("catalog_tools", "pipeline")
 LIBRARIES = ("numpy", "scipy", "numba")
+
+
+def own_version() -> str:
+    """The version that is installed; of source that is not, its digest."""
+    try:
+        return version("nightglass")
+    except PackageNotFoundError:
+        return f"source {code_digest()}"
 
 
 def sources(folder: Path) -> Iterator[bytes]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from catalog_tools.documents import JsonObject
+from catalog_tools.engine.code import own_version
 from pipeline.execute.check import summary
 from pipeline.execute.coordinates import frame_coordinates
 from pipeline.export.picture import write_preview
@@ -168,7 +169,7 @@ def _attributes(plan: Plan, catalogues: list[JsonObject]) -> JsonObject:
             "title": plan.scene.name,
             "Conventions": "CF-1.11",
             "complete": True,
-            "source": f"Nightglass {version('nightglass')}",
+            "source": f"Nightglass {own_version()}",
             "scene": scene_yaml(plan.scene),
             "seed": plan.scene.seed,
             "ifov_rad": plan.facts.ifov_rad,
@@ -211,7 +212,7 @@ def _report(
         **_empty_noise(plan),
         "remarks": list(plan.remarks),
         "memory": {"peak_driver_mb": usage.ru_maxrss / 1024.0},
-        "versions": {"nightglass": version("nightglass")} | {n: version(n) for n in LIBRARIES},
+        "versions": {"nightglass": own_version()} | {n: version(n) for n in LIBRARIES},
     }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 import json
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from catalog_tools.documents import JsonObject
+from catalog_tools.engine.code import own_version
 from catalog_tools.storage.durable import write_atomically
 from pipeline.spec.sweep import Sweep
 from pipeline.sweep.figure import figure
@@ -43,7 +43,7 @@ def summarise(sweep: Sweep, out: Path, names: tuple[str, ...], told: JsonObject)
         | _failures(file)
         | told
     )
-    report["versions"] = {"nightglass": version("nightglass")}
+    report["versions"] = {"nightglass": own_version()}
     write_atomically(out / REPORT, json.dumps(report, indent=2, allow_nan=False) + "\n")
     drawn = _draw(file, axes, metrics)
     if drawn is not None:

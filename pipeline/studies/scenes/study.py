@@ -8,10 +8,10 @@ import platform
 import subprocess
 import sys
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
+from catalog_tools.engine.code import own_version
 from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.errors import BadInput, NightglassError
 from pipeline.studies.scenes.scenes import (
@@ -89,7 +89,7 @@ def run_study(
         "levels": list(levels),
         "catalogue": "given" if catalogue else "synthetic",
         "machine": _machine(),
-        "nightglass": version("nightglass"),
+        "nightglass": own_version(),
         "scenes": told,
     }
 
