@@ -11,7 +11,7 @@ from pathlib import Path
 import dask
 from dask_jobqueue import SLURMCluster
 from dask_jobqueue.slurm import SLURMJob
-from distributed import Adaptive, Client, Security
+from distributed import Adaptive, Client, Scheduler, Security
 from distributed.core import Status
 
 from ..errors import BadInput, TryLater
@@ -43,6 +43,7 @@ class Jobs(SLURMCluster):
     """A cluster that knows which of its jobs Slurm still has."""
 
     job_cls = SlurmJob
+    scheduler: Scheduler
     _numbers = itertools.count()
     looked_s = -LOOK_S
     lost = ""  # why the last job that is gone has ended
@@ -60,27 +61,22 @@ class Jobs(SLURMCluster):
 
         Where one after the other ends before its worker came, the scheduler is closed.
         """
-        if self.scheduler is None:
-            return
-        known = dict(self.workers)
-        names = {str(worker.name) for worker in self.scheduler.workers.values()}
-        for name, job in known.items():
-            job.came |= any(name in (n, _job_of(n)) for n in names)
-        if not known or time.monotonic() - self.looked_s < LOOK_S:
+        names = self._workers_there()
+        if not self.workers or time.monotonic() - self.looked_s < LOOK_S:
             return
         self.looked_s = time.monotonic()
-        queue: dict[str, str] = {}
-        if any(job.job_id for job in known.values()):
-            try:
-                told = await SlurmJob._call(["squeue", "--me", "--noheader", "--format=%i %T (%r)"])
-            except (OSError, RuntimeError):
-                return  # Slurm does not answer now
-            queue = dict(line.strip().split(" ", 1) for line in told.splitlines())
-        self.in_queue = "; ".join(
-            f"job {job.job_id}: {queue[job.job_id]}"
-            for job in known.values()
-            if job.job_id in queue
-        )
+        submitted = any(job.job_id for job in self.workers.values())
+        queue = await _queue() if submitted else {}
+        if queue is not None:
+            self._keep_those_of(queue)
+        if self.in_vain >= MOST_IN_VAIN and not names:
+            self.given_up = f"{self.in_vain} jobs in a row ended before a worker came"
+            await self.scheduler.close()
+
+    def _keep_those_of(self, queue: dict[str, str]) -> None:
+        known = dict(self.workers)
+        there = [job.job_id for job in known.values() if job.job_id in queue]
+        self.in_queue = "; ".join(f"job {number}: {queue[number]}" for number in there)
         for name, job in known.items():
             if job.job_id not in queue:
                 self.lost, self.refusal = f"Slurm's job {job.job_id}", job.refusal
@@ -88,9 +84,23 @@ class Jobs(SLURMCluster):
                 job.status = Status.closed
                 self.workers.pop(name, None)
                 self.worker_spec.pop(name, None)
-        if self.in_vain >= MOST_IN_VAIN and not names:
-            self.given_up = f"{self.in_vain} jobs in a row ended before a worker came"
-            await self.scheduler.close()
+
+    def _workers_there(self) -> set[str]:
+        """Names of the workers at the scheduler; their jobs have come."""
+        names = {str(worker.name) for worker in self.scheduler.workers.values()}
+        jobs = names | {_job_of(name) for name in names}
+        for name in jobs & self.workers.keys():
+            self.workers[name].came = True
+        return names
+
+
+async def _queue() -> dict[str, str] | None:
+    """State and reason of each job that Slurm has of this user; None where it does not answer."""
+    try:
+        told = await SlurmJob._call(["squeue", "--me", "--noheader", "--format=%i %T (%r)"])
+    except (OSError, RuntimeError):
+        return None
+    return dict(line.strip().split(" ", 1) for line in told.splitlines())
 
 
 class FollowsJobs(Adaptive):
@@ -139,14 +149,21 @@ def cluster_of_jobs(folder: Path, most: int) -> Iterator[Jobs]:
     with cluster, dask.config.set({"distributed.deploy.lost-worker-timeout": "3650 days"}):
         key = {"worker_key": lambda worker: _job_of(str(worker.name))} if grouped else {}
         cluster.adapt(Adaptive=FollowsJobs, minimum_jobs=1, maximum_jobs=most, **key)
-        try:
+        with _why_given_up(cluster):
             yield cluster
-        except TryLater as error:
-            if not cluster.given_up:
-                raise
-            last = cluster.refusal and _refused(cluster.refusal)
-            why = last or f"last {cluster.lost}, whose log says why"
-            raise TryLater(f"{cluster.given_up}: {why}") from error
+
+
+@contextmanager
+def _why_given_up(cluster: Jobs) -> Iterator[None]:
+    """Say that jobs ended in vain where that is why the scheduler was lost. Raises TryLater."""
+    try:
+        yield
+    except TryLater as error:
+        if not cluster.given_up:
+            raise
+        last = cluster.refusal and _refused(cluster.refusal)
+        why = last or f"last {cluster.lost}, whose log says why"
+        raise TryLater(f"{cluster.given_up}: {why}") from error
 
 
 def wait_for_a_job(client: Client, cluster: Jobs, patience_s: float) -> None:
