@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import BadInput
@@ -117,11 +116,10 @@ class Polygon:
         It points from the origin to the nearest point of the corners' convex hull, which is the
         residual of a non-negative least-squares problem (Lawson & Hanson 1974, section 23.4).
         """
+        from scipy.optimize import nnls
 
         corners = self._edges[0]
-        weights, _ = scipy.optimize.nnls(
-            np.vstack([corners.T, np.ones(len(corners))]), [0.0, 0.0, 0.0, 1.0]
-        )
+        weights, _ = nnls(np.vstack([corners.T, np.ones(len(corners))]), [0.0, 0.0, 0.0, 1.0])
         point = weights @ corners
         length = float(np.sqrt(point @ point))
         x, y, z = (point / length if length > 1e-12 else -corners[0]).tolist()

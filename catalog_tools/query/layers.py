@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
-import scipy
 
 from ..catalogue import Catalogue, Leaf
 from ..geometry.regions import Cone, Region
@@ -155,10 +154,9 @@ def _in_both(seen: Rows, held: Rows, main: Catalogue, layer: Catalogue) -> np.nd
 
 def _pairs(u: Floats, v: Floats, tolerance_rad: float) -> tuple[np.ndarray, np.ndarray]:
     """Indices (m,) of all pairs of unit vectors (n, 3) and (k, 3) within a small angle."""
+    from scipy.spatial import cKDTree
 
-    near = scipy.spatial.cKDTree(v).query_ball_point(
-        u, tolerance_rad * (1.0 + 1e-9)
-    )  # a chord is no longer
+    near = cKDTree(v).query_ball_point(u, tolerance_rad * (1.0 + 1e-9))  # a chord is no longer
     i = np.repeat(np.arange(len(u)), [len(found) for found in near])
     j = np.fromiter((k for found in near for k in found), np.int64, i.size)
     close = separation_rad(u[i], v[j]) <= tolerance_rad
