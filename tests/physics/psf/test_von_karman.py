@@ -8,11 +8,17 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
-from scipy.special import j0
+from scipy.special import gamma, j0
 
 from pipeline.physics.psf.pupil import Airy
-from pipeline.physics.psf.seeing import Kolmogorov
-from pipeline.physics.psf.von_karman import LEAST_ALONE_R0, SERIES_UP_TO, VonKarman, levelled
+from pipeline.physics.psf.seeing import KOLMOGOROV_EXPONENT, Kolmogorov
+from pipeline.physics.psf.von_karman import (
+    LEAST_ALONE_R0,
+    SATURATES,
+    SERIES_UP_TO,
+    VonKarman,
+    levelled,
+)
 
 # GalSim 2.8.5: VonKarman(lam=500, r0=0.1, L0=5) at 0.1, 0.3, 0.6, 1 cycles per arcsec.
 GALSIM = (0.9386520857020589, 0.7015828638165365, 0.36193719334379043, 0.1160842252574117)
@@ -29,6 +35,12 @@ def structure(rho_r0: float, outer_r0: float) -> float:
 
     edges = np.linspace(np.log(1e-6 / outer_r0), np.log(300.0 / rho_r0), 400)
     return sum(quad(rings, a, b)[0] for a, b in pairwise(edges))
+
+
+def test_constants_are_those_of_their_formulas() -> None:
+    assert pytest.approx((24 * gamma(6 / 5) / 5) ** (5 / 6), rel=1e-15) == KOLMOGOROV_EXPONENT
+    share = gamma(11 / 6) * gamma(5 / 6) / (2 * np.pi ** (8 / 3))
+    assert pytest.approx(share * KOLMOGOROV_EXPONENT, rel=1e-15) == SATURATES
 
 
 @pytest.mark.parametrize("outer_r0", [20.0, 150.0, 3000.0])
