@@ -9,7 +9,6 @@ from typing import Annotated
 
 import typer
 
-from catalog_tools.engine.code import own_version
 from catalog_tools.engine.heap import few_collections, one_heap
 from pipeline.commands.lazy import lazy_group
 from pipeline.commands.table import COMMANDS
@@ -28,6 +27,8 @@ app = lazy_group(COMMANDS, completion=True, name="nightglass")
 
 def _print_version(wanted: bool) -> None:
     if wanted:
+        from catalog_tools.engine.code import own_version
+
         print(f"nightglass {own_version()}")
         raise typer.Exit
 

@@ -105,7 +105,7 @@ def _shrink(folder: Path) -> None:
 
 
 def _digest(content: tuple[object, ...]) -> str:
-    told = hashlib.sha256(made_by())
+    told = hashlib.sha256(_code())
     for part in _parts(content):
         told.update(part)
         told.update(b"\0")
@@ -132,8 +132,8 @@ def _parts(value: object) -> Iterator[bytes]:
 
 
 @cache
-def made_by() -> bytes:
-    """What else numbers follow from: the code of the physics, its libraries and the processor."""
+def _code() -> bytes:
+    """What else arrays follow from: the code of the physics, its libraries and the processor."""
     told = hashlib.sha256()
     for source in sources(Path(__file__).parent / "physics"):
         told.update(source)

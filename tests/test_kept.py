@@ -72,7 +72,7 @@ def test_everything_in_the_content_counts(folder):
 
 def test_another_version_of_the_physics_has_its_own(folder, monkeypatch):
     assert kept_number(("n",), lambda: 1.0) == 1.0
-    monkeypatch.setattr(store, "made_by", lambda: b"another")
+    monkeypatch.setattr(store, "_code", lambda: b"another")
     assert kept_number(("n",), lambda: 2.0) == 2.0
 
 
@@ -84,10 +84,10 @@ def test_the_code_its_libraries_and_the_processor_count(tmp_path, monkeypatch):
     monkeypatch.setattr(store, "__file__", str(tmp_path / "kept.py"))
     versions = dict.fromkeys(("numpy", "scipy", "numba"), "1.0")
     monkeypatch.setattr(store, "version", versions.__getitem__)
-    told = [store.made_by.__wrapped__()]
+    told = [store._code.__wrapped__()]
 
     def now():
-        told.append(store.made_by.__wrapped__())
+        told.append(store._code.__wrapped__())
         assert told[-1] not in told[:-1]
 
     inner.write_text("x = 2")

@@ -73,7 +73,6 @@ def _as_disc(
     y0: int, x0: int, image: NDArray[np.float64], radius_px: float
 ) -> tuple[int, int, NDArray[np.float64]]:
     """The light spread over a full disc."""
-
     n = int(np.ceil(radius_px))
     at = np.arange(-n, n + 1)
     disc = (np.hypot(at[:, None], at[None, :]) <= radius_px).astype(float)

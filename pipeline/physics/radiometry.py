@@ -190,7 +190,6 @@ def spectrum_from_box_means(edges_m: Array, means: Array, step_m: float) -> tupl
     edges_m : (n+1,) ascending, metres; means : (n,) not negative, any unit
     Returns wavelength_m (k,) and values (k,) in the unit of `means`.
     """
-
     cumulative = np.concatenate([[0.0], np.cumsum(means * np.diff(edges_m))])
     slope = scipy.interpolate.PchipInterpolator(edges_m, cumulative).derivative()
     counts = np.maximum(1, np.rint(np.diff(edges_m) / step_m)).astype(int)

@@ -40,11 +40,8 @@ class Kernel:
         """Weight of a grid point `u_cells` from the source; 1 at 0, 0 beyond half the width."""
         z = 2.0 * np.asarray(u_cells, float) / self.width
         inside = np.sqrt(np.clip(1.0 - z * z, 0.0, None))
-        return np.where(
-            np.abs(z) <= 1.0,
-            scipy.special.i0(self.beta * inside) / scipy.special.i0(self.beta),
-            0.0,
-        )
+        i0 = scipy.special.i0
+        return np.where(np.abs(z) <= 1.0, i0(self.beta * inside) / i0(self.beta), 0.0)
 
     def transform(self, turns: Array) -> Array:
         """Fourier transform at `turns` cycles per cell: w sinh(s) / (s I0(b)) (Fourmont 2003)."""
@@ -61,10 +58,9 @@ class Kernel:
         hold at once (the kernel jumps by 1 / I0(b) at its ends, and a Fourier series overshoots a
         jump by 9%), and what the weights may err by.
         """
-        rest = JUMP_PARTS / scipy.special.i0(self.beta) + self.weight_error(single)
-        return _alias_ratio(
-            np.asarray(turns, float), self.width, self.beta, scipy.special.i0(self.beta), rest
-        )
+        peak = scipy.special.i0(self.beta)
+        rest = JUMP_PARTS / peak + self.weight_error(single)
+        return _alias_ratio(np.asarray(turns, float), self.width, self.beta, peak, rest)
 
     def weight_error(self, single: bool) -> float:
         """Largest error of the weights of one axis together: polynomials and their arithmetic."""

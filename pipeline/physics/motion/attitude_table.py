@@ -94,9 +94,8 @@ def _slerp(table: AttitudeTable, at_s: Array) -> Array:
 
 def _spline(table: AttitudeTable, at_s: Array) -> Array:
 
-    spline = scipy.spatial.transform.RotationSpline(
-        table.time_s, scipy.spatial.transform.Rotation.from_quat(table.q)
-    )
+    turn = scipy.spatial.transform
+    spline = turn.RotationSpline(table.time_s, turn.Rotation.from_quat(table.q))
     return np.asarray(spline(at_s).as_quat())
 
 

@@ -132,9 +132,8 @@ def light_beyond(mtf: Mtf, top: float, radius_px: float) -> float:
     """
     f, weight = _panels(top, radius_px)
     turn = 2.0 * np.pi * radius_px * f
-    inner = float(
-        np.sum(weight * (1.0 - mtf(f)) * scipy.special.j1(turn))
-    )  # a BLAS may reorder its sum
+    rings = weight * (1.0 - mtf(f)) * scipy.special.j1(turn)
+    inner = float(np.sum(rings))  # a BLAS may reorder its sum
     return float(scipy.special.j0(2.0 * np.pi * top * radius_px)) + 2.0 * np.pi * radius_px * inner
 
 
@@ -182,7 +181,6 @@ def light_table(mtf: Mtf, top: float, scale_px: float, farthest: float) -> Calla
 
     farthest : last radius in units of `scale_px`; beyond, the last power law goes on.
     """
-
     radii = scale_px * np.geomspace(NEAREST, farthest, LIGHT_RADII)
     light = np.array([light_beyond(mtf, top, r) for r in radii])
     light = np.minimum.accumulate(np.clip(light, 1e-12, 1.0))

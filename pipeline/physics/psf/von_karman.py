@@ -65,12 +65,9 @@ def levelled(x: Array) -> Array:
     for k in range(1, TERMS):
         a, b = a * q / (k * (k - ORDER)), b * q / (k * (k + ORDER))
         falling, rising = falling + a, rising + b
-    near = (
-        scipy.special.gamma(1.0 - ORDER) / scipy.special.gamma(1.0 + ORDER) * q**ORDER * rising
-        - falling
-    )
+    gamma = scipy.special.gamma
+    near = gamma(1.0 - ORDER) / gamma(1.0 + ORDER) * q**ORDER * rising - falling
     big = np.clip(x, SERIES_UP_TO, LARGEST)
-    far = 1.0 - 2.0 ** (1.0 - ORDER) / scipy.special.gamma(ORDER) * big**ORDER * scipy.special.kv(
-        ORDER, big
-    )
+    bessel = scipy.special.kv(ORDER, big)
+    far = 1.0 - 2.0 ** (1.0 - ORDER) / gamma(ORDER) * big**ORDER * bessel
     return np.where(x < SERIES_UP_TO, near, far)

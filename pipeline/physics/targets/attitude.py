@@ -105,7 +105,6 @@ def table_attitude(
     Slerp of scipy; the sign of a quaternion does not matter. BadInput, naming `field`, where
     the table does not cover the times asked for.
     """
-
     times, at = np.asarray(times_s, float), np.asarray(at_s, float)
     if at.size and not (times[0] <= at.min() and at.max() <= times[-1]):
         raise BadInput(
@@ -113,12 +112,9 @@ def table_attitude(
             f"{times[0]:g} to {times[-1]:g}",
             f"a table that covers the exposures, {at.min():.6g} to {at.max():.6g} s",
         )
-    turns = scipy.spatial.transform.Rotation.from_quat(
-        np.roll(np.asarray(quaternions, float), -1, axis=-1)
-    )
-    return np.asarray(scipy.spatial.transform.Slerp(times, turns)(at.ravel()).as_matrix()).reshape(
-        *at.shape, 3, 3
-    )
+    turn = scipy.spatial.transform
+    turns = turn.Rotation.from_quat(np.roll(np.asarray(quaternions, float), -1, axis=-1))
+    return np.asarray(turn.Slerp(times, turns)(at.ravel()).as_matrix()).reshape(*at.shape, 3, 3)
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy
 import scipy.fft
 from numba import njit
 from numpy.typing import NDArray

@@ -136,6 +136,7 @@ def test_same_fit_from_disk_and_after_damage(embedded, kept_in, monkeypatch):
         file.write_bytes(damage)
         assert colour_fit.describe(fitted(BOX)) == first
     assert len(calls) == 4
+    assert file.read_bytes() == whole
     fitted({"kind": "box", "short_nm": 400, "long_nm": 901})
     assert len(list(kept_in.iterdir())) == 2
     blocked = kept_in / "file"
