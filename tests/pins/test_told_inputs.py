@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -34,7 +35,8 @@ from tests.pins import files
 from tests.pins.scenes import AT_FIELD, BASE, IN_ORBIT, SITE, SPHERE
 from tests.pins.told import TOLD, check_told
 
-MANY, BRIEF, DIGITS, NOISE = 8, 40, 9, 1e-12
+MANY, BRIEF, DIGITS = 8, 40, 9
+NOISE, ROUNDING = 1e-12, 1e-15  # of the largest of an array: what is 0, the finest digit told
 NOT_TOLD = ("digest", "sha256")  # of numbers, whose last bits are another processor's
 REFUSALS = (NightglassError, InvalidScene, ValueError, AssertionError)
 # What other packages say of a file is theirs.
@@ -82,16 +84,22 @@ def _leaves(value: list[Any] | tuple[Any, ...]) -> Iterator[Any]:
         yield from _leaves(one) if isinstance(one, list | tuple) else (one,)
 
 
-def _array(a: np.ndarray) -> str:
+def _array(a: np.ndarray, of: np.ndarray | None = None) -> str:
+    """An array in numbers, none finer than what rounding leaves of the largest; of : the sizes of
+    complex numbers of which it is a part."""
     if a.dtype.kind not in "biufc":
         return f"{a.shape} {a.ravel()[:MANY].tolist()}"
     if a.dtype.kind == "c":
-        return f"{_array(a.real)} + i {_array(a.imag)}"
+        return f"{_array(a.real, np.abs(a))} + i {_array(a.imag, np.abs(a))}"
     a = a.astype(float)
     known = np.where(np.isfinite(a), a, 0.0)
     size = np.abs(known)
-    known[size < NOISE * size.max(initial=0.0)] = 0.0
-    numbers = [f"{v:.{DIGITS}g}" for v in np.where(np.isfinite(a), known, a).ravel()]
+    whole = size if of is None else np.where(np.isfinite(of), of, 0.0)
+    largest = float(whole.max(initial=0.0))
+    known[size < NOISE * largest] = 0.0
+    size = np.abs(known)
+    every = np.where(np.isfinite(a), known, a).ravel().tolist()
+    numbers = [_number(v, ROUNDING * largest) for v in every]
     if a.size <= MANY:
         return f"{a.shape if a.ndim > 1 else ''}[{', '.join(numbers)}]"
     total = max(float(size.sum()), 1e-300)
@@ -102,6 +110,14 @@ def _array(a: np.ndarray) -> str:
     words = f"sum {signed:.{DIGITS}g}, rms {np.sqrt(np.mean(known**2)):.{DIGITS}g}, at {middle}"
     lost = f", {(~np.isfinite(a)).sum()} not finite" if not np.isfinite(a).all() else ""
     return f"{a.shape} {words}{lost}: {', '.join(numbers[k * (a.size - 1) // 3] for k in range(4))}"
+
+
+def _number(v: float, least: float) -> str:
+    """A number of up to DIGITS digits, none of them below `least`."""
+    if not (np.isfinite(v) and v and least):
+        return f"{v:.{DIGITS}g}"
+    above = math.floor(math.log10(abs(v))) - math.floor(math.log10(least))
+    return f"{v:.{min(DIGITS, max(1, above))}g}"
 
 
 def told_of(task: Callable[[], Any], pad: str) -> str:
