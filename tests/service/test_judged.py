@@ -100,7 +100,11 @@ def test_images_are_judged_at_once_by_their_names(
     field, content, said = IMAGES[name]
     file_id = sent(judging, "my-camera.npy", content)
     scene["sensor"][field] = file_id
-    for door, answer in doors(judging, scene).items():
+    if name == "shape":
+        answers = doors(judging, scene)
+    else:  # at one door: each takes a process that reads the file
+        answers = {"jobs": judging.client.post("/v1/jobs", json=scene)}
+    for door, answer in answers.items():
         assert answer.status_code == 422, (door, answer.text)
         told = answer.text
         assert (said in told, "my-camera.npy" in told) == (True, True), (door, told)
