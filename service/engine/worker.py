@@ -1,7 +1,7 @@
 """The engine in a process of its own: one order on stdin, JSON lines of progress on stdout.
 
-`python -m service.engine.worker` is started by the runner inside the folder of catalogues, so that
-a catalogue's registered name is its path and no path of the server enters a product. It ends at
+It works in the folder of catalogues (`service.engine.forks` begins it there), so that a
+catalogue's registered name is its path and no path of the server enters a product. It ends at
 once when its stdin closes: a worker never outlives the process that watches it.
 """
 

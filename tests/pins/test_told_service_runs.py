@@ -7,7 +7,6 @@ import contextlib
 import fcntl
 import io
 import json
-import os
 import queue
 import sqlite3
 import subprocess
@@ -193,30 +192,24 @@ def _led(clock: Clock, settings: Settings, script: list[str]) -> list[str]:
 
 
 def test_the_process_of_the_engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """How it is started, what it is told, what it may not know; what its answers mean."""
+    """Where it works, what it is told, what it may not know; what its answers mean."""
     settings = Settings(tmp_path)
     settings.make_folders()
     lines: list[str] = []
     code = (
-        "import os,sys,json;o=json.loads(sys.stdin.readline());print('{cut');"
-        "print(json.dumps(o['say']));"
-        "print(json.dumps(sorted(k for k in os.environ if 'NIGHTGLASS' in k and 'PINS' not in k)))"
+        "import sys,json;o=json.loads(sys.stdin.readline());print('{cut');"
+        "print(json.dumps(o['say']))"
     )
 
-    def start(command: list[str], **more: Any) -> Any:
-        more.pop("env")["NIGHTGLASS_SEEN"] = "1"
-        lines.append(f"{command[1:]} {sorted(more)} {more['cwd'].name}")
-        seen = {k: v for k, v in os.environ.items() if not processes._secret(k)}
-        return subprocess.Popen([sys.executable, "-S", "-E", "-c", code], env=seen, **more)
+    def begin(folder: Path, files: tuple[int, int]) -> Any:
+        lines.append(f"in {folder.name}")
+        command = [sys.executable, "-S", "-E", "-c", code]
+        started = subprocess.Popen(command, stdin=files[0], stdout=files[1])
+        return lambda: (started.kill(), started.wait())
 
-    fake = SimpleNamespace(Popen=start, PIPE=subprocess.PIPE)
-    monkeypatch.setattr("service.engine.processes.subprocess", fake)
-    for name in [k for k in os.environ if "NIGHTGLASS" in k and "PINS" not in k]:
-        monkeypatch.delenv(name)
-    for name in ("DATABASE", "OIDC_JWKS", "TLS_KEY", "DATA", "KEYS"):
-        monkeypatch.setenv(f"NIGHTGLASS_{name}", "x")
+    monkeypatch.setattr(processes, "_forks", SimpleNamespace(begin=begin))
     with processes.worker(settings, {"say": {"outcome": "done"}}) as answers:
-        lines += [f"{answers.get(timeout=20)}" for _ in range(3)]
+        lines += [f"{answers.get(timeout=20)}" for _ in range(2)]
     lines += [
         f"{k}: {processes._secret(k)}"
         for k in ("NIGHTGLASS_TLS_CERT", "NIGHTGLASS_OIDC", "NIGHTGLASS_KEY")

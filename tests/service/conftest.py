@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import psutil
 import pytest
 
 from service.accounts.keys import create_key
@@ -166,6 +167,15 @@ class Server:
     def _gone(self) -> None:
         self.process.wait(30)
         self.client.close()
+
+    def forks(self) -> list[psutil.Process]:
+        """The process that forks the engine's, once there was an order."""
+        return psutil.Process(self.process.pid).children()
+
+    def workers(self) -> list[psutil.Process]:
+        """The processes of the engine that run."""
+        every = [worker for fork in self.forks() for worker in fork.children()]
+        return [worker for worker in every if worker.status() != psutil.STATUS_ZOMBIE]
 
     def submit(self, scene: dict[str, Any], **headers: str) -> str:
         answer = self.client.post("/v1/jobs", json=scene, headers=headers)

@@ -49,10 +49,7 @@ class Group:
         return None
 
     def workers(self) -> list[psutil.Process]:
-        found = []
-        for server in self.servers:
-            found += psutil.Process(server.process.pid).children()
-        return found
+        return [worker for server in self.servers for worker in server.workers()]
 
     def kill(self, what: str) -> None:
         """kill -9 of one thing, or of everything; what was a server is started again."""
@@ -249,6 +246,6 @@ def test_a_hundred_kills_while_jobs_come(
 
 @pytest.mark.parametrize("order", [b"", b'{"do": "rend'])
 def test_a_worker_whose_parent_dies_before_the_order_is_whole_ends_silently(order: bytes) -> None:
-    words = [sys.executable, "-m", "service.engine.worker"]
+    words = [sys.executable, "-c", "from service.engine.worker import main; main()"]
     told = subprocess.run(words, input=order, capture_output=True, check=False)
     assert (told.returncode, told.stdout, told.stderr) == (1, b"", b"")

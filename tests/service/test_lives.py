@@ -107,7 +107,7 @@ def test_a_job_waits_for_a_catalogue_that_is_gone(
     """It is tried again for as long as was set, ends with a word on the catalogue, and can be run
     again; one whose link comes back in time is drawn."""
     make_demo(tmp_path / "sky", faintest_g_mag=6.0)
-    server = make_server(NIGHTGLASS_SCHEDULER_S="3")
+    server = make_server(NIGHTGLASS_SCHEDULER_S="5")
     link = server.home / "catalogues" / "sky"
     link.symlink_to(tmp_path / "sky")
     frames = scene["exposure"] | {"frames": 100}
@@ -185,3 +185,31 @@ def test_debug_logs_name_tiles(make_server: Callable[..., Any], scene: dict[str,
     tiles = {line["tile"] for line in lines if line.get("job") == job["id"] and "tile" in line}
     assert tiles == {"f0_r0_c0", "f1_r0_c0"}
     assert any(line.get("method") == "POST" and line["status"] == 202 for line in lines)
+
+
+def test_work_goes_on_though_what_forks_the_engine_dies(
+    make_server: Callable[..., Any], scene: dict[str, Any]
+) -> None:
+    """A job that runs is not touched by it; what comes after it begins by another; one that is
+    cancelled ends all the same."""
+    server = make_server()
+    assert server.forks() == []  # no order, no process
+    long = scene | {"exposure": scene["exposure"] | {"frames": 200}}
+    first, second = server.submit(long), server.submit(long | {"seed": 8})
+    server.until(first, lambda found: (found["tiles_done"] or 0) >= 2)
+    [fork], [worker] = server.forks(), server.workers()
+    fork.kill()
+    done = server.ended(first)
+    assert (done["phase"], done["attempt"]) == ("COMPLETED", 1)
+    server.until(second, lambda found: (found["tiles_done"] or 0) >= 2)
+    assert not worker.is_running()
+    [other], [worker] = server.forks(), server.workers()
+    assert other.pid != fork.pid
+    other.kill()
+    assert server.client.post(f"{second}/cancel").status_code == 202
+    assert server.ended(second)["phase"] == "ABORTED"
+    worker.wait(5)
+    assert server.ended(server.submit(scene))["phase"] == "COMPLETED"
+    [last] = server.forks()
+    server.kill()
+    last.wait(5)  # it ends with its server

@@ -8,7 +8,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 
 from catalog_tools.catalogue import VERSION
@@ -151,7 +150,7 @@ def test_killed_worker_and_killed_server_go_on_where_they_were(
     job = server.submit(long_scene)
     waiting = server.submit(long_scene | {"name": "behind"})
     server.until(job, lambda found: (found["tiles_done"] or 0) >= 2)
-    [worker] = psutil.Process(server.process.pid).children()
+    [worker] = server.workers()
     worker.kill()
     server.until(job, lambda found: found["attempt"] == 2 and found["tiles_done"] >= 4)
     server.kill()
@@ -215,11 +214,15 @@ def test_a_second_process_watches_but_does_not_run(server: Any, scene: dict[str,
 
 
 def test_events_tell_every_change_and_end(server: Any, scene: dict[str, Any]) -> None:
-    job = server.submit(scene)
+    """A heartbeat, too, while nothing changes: before its owner starts the job."""
+    held = server.client.post("/uws/async", data={"SCENE": json.dumps(scene)}).headers["location"]
+    job = f"/v1/jobs/{held.rpartition('/')[2]}"
     seen, lines = [], []
     with server.client.stream("GET", f"{job}/events") as stream:
         assert stream.headers["content-type"].startswith("text/event-stream")
         for line in stream.iter_lines():
+            if line == ": heartbeat" and line not in lines:
+                server.client.post(f"{held}/phase", data={"PHASE": "RUN"})
             lines.append(line)
             if line.startswith("data: "):
                 seen.append(json.loads(line[6:]))

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+from pathlib import Path
+
+import pytest
+
+from service.engine import processes
+from service.settings import Settings
 
 WATCHED = """
 import threading, time
@@ -26,3 +33,23 @@ def test_it_ends_at_once_when_its_parent_is_gone() -> None:
         engine.stdin.close()
         assert engine.wait(timeout=20) == 1
         assert engine.stdout.read() == b""
+
+
+def test_an_engine_that_cannot_be_loaded_is_told_by_the_worker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What forks workers lives on, and says it on its log; the order ends with the fault."""
+    (tmp_path / "dask.py").write_text("raise ImportError('dask is broken')\n")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
+    monkeypatch.setattr(processes, "_forks", forks := processes.Forks())
+    settings = Settings(tmp_path)
+    settings.make_folders()
+    for _ in range(2):
+        with processes.worker(settings, {"do": "judge", "scene": {}}) as answers:
+            answer = answers.get(timeout=60)
+        assert answer is not None
+        assert answer["error"]["kind"] == "fault"
+    assert forks._process is not None
+    assert forks._process.poll() is None
+    forks._process.kill()
+    forks._process.wait()

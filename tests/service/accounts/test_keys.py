@@ -34,7 +34,7 @@ from service.accounts.auth import Authenticator, Caller
 from service.accounts.keys import TOKEN, any_key, create_key, list_keys, matches, revoke_key
 from service.accounts.oidc import Verifier
 from service.app import ROOMS
-from service.engine.processes import worker
+from service.engine import processes
 from service.logs import JsonLines, redact
 from service.main import bind
 from service.problems import Forbidden, NoProvider, Unauthenticated
@@ -571,19 +571,20 @@ def test_a_provider_that_is_silent_holds_up_no_key(
 
 
 def test_an_engine_is_told_no_secret(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its process has none of these in its environment, and what it needs."""
+    """What forks its workers has none of these in its environment, and what they need."""
     secret = {f"NIGHTGLASS_{name}": "s3cret" for name in ("DATABASE", "OIDC_JWKS", "TLS_KEY")}
     for name, value in (secret | {"NIGHTGLASS_DATA": "here"}).items():
         monkeypatch.setenv(name, value)
     settings = Settings(tmp_path)
     settings.make_folders()
-    with worker(settings, {"do": "judge", "scene": {}}):
-        [engine] = [
-            c for c in psutil.Process().children() if "service.engine.worker" in c.cmdline()
-        ]
-        environment = engine.environ()
+    monkeypatch.setattr(processes, "_forks", forks := processes.Forks())
+    with processes.worker(settings, {"do": "judge", "scene": {}}):
+        assert forks._process is not None
+        environment = psutil.Process(forks._process.pid).environ()
     assert not secret.keys() & environment.keys()
     assert environment["NIGHTGLASS_DATA"] == "here"
+    forks._process.kill()
+    forks._process.wait()
 
 
 def test_a_place_for_keys_must_be_safe(tmp_path: Path) -> None:
