@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -32,6 +33,20 @@ SMALL: dict[str, Any] = {
     "catalogue": {"synthetic": {"objects": 60, "seed": 4}},
     "tasking": {"kind": "cued", "revisit_h": 2.0},
 }
+
+
+@pytest.fixture(scope="module")
+def coarse_signal() -> Iterator[None]:
+    """SNR at fewer lengths of streaks: it is most of what a sensor takes to make."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pipeline.survey.signal.LENGTHS", 24)
+        yield
+
+
+@pytest.fixture
+def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages without their pictures, which take a second."""
+    monkeypatch.setattr("pipeline.capacity.page._pictures", lambda *_: "")
 
 
 @pytest.fixture

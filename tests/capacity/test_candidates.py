@@ -21,6 +21,7 @@ from pipeline.capacity.patterns import slots_of
 from pipeline.capacity.run import StudyOptions, run_study
 from pipeline.physics.vectors import from_angles, separation
 
+pytestmark = pytest.mark.usefixtures("coarse_signal")
 ALONE = StudyOptions("synchronous")
 Data = dict[str, Any]
 
@@ -93,6 +94,7 @@ def run_rows(data: Data, out: Path) -> list[dict[str, Any]]:
     return list(pa.concat_tables([pq.read_table(f) for f in files]).to_pylist())
 
 
+@pytest.mark.usefixtures("without_pictures")
 @pytest.mark.parametrize("pattern", [None, "strip"])
 def test_windows_and_batches_change_nothing(
     data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pattern: str | None

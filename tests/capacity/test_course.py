@@ -16,6 +16,7 @@ from pipeline.errors import BadInput
 from pipeline.physics.detection import threshold_sigma
 from tests.observe.test_against_others import tle
 
+pytestmark = pytest.mark.usefixtures("coarse_signal")
 Data = dict[str, Any]
 
 

@@ -15,6 +15,7 @@ from pipeline.capacity.course import StudyCourse, make_course
 from pipeline.capacity.patterns import Slots, in_fields, slots_of
 from pipeline.physics.vectors import from_angles, separation
 
+pytestmark = pytest.mark.usefixtures("coarse_signal")
 Data = dict[str, Any]
 Array = np.ndarray
 SITE = coord.EarthLocation.from_geodetic(-156.3, 20.7, 3055.0)

@@ -20,6 +20,7 @@ from pipeline.capacity.run import StudyOptions, forecast_of, run_study
 from pipeline.errors import BadInput
 from pipeline.spec.dotted import changed
 
+pytestmark = pytest.mark.usefixtures("coarse_signal")
 ALONE = StudyOptions("synchronous")
 Data = dict[str, Any]
 
@@ -29,6 +30,7 @@ def observations(out: Path) -> Any:
     return [pq.read_table(f).to_pylist() for f in files]
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_same_for_any_workers_and_resumed(
     data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -90,6 +92,7 @@ def test_gap_times_are_those_of_the_observations(data: Data, tmp_path: Path) -> 
     assert "Gap time by orbit" in page
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_priorities_and_schedulers(data: Data, tmp_path: Path) -> None:
     """What has no priority is left alone; assignment takes nothing twice in a step."""
     data["tasking"] |= {"scheduler": "assignment"}
@@ -103,6 +106,7 @@ def test_priorities_and_schedulers(data: Data, tmp_path: Path) -> None:
     assert len(taken) == len(set(taken))
 
 
+@pytest.mark.usefixtures("without_pictures")
 @pytest.mark.parametrize("pattern", ["fence", "belt", "strip"])
 def test_searches_see_what_is_in_their_fields(data: Data, tmp_path: Path, pattern: str) -> None:
     """Each observation stands in the field of its dwell, by the camera's own projection."""
@@ -136,6 +140,7 @@ def test_searches_see_what_is_in_their_fields(data: Data, tmp_path: Path, patter
         assert abs(y[0] - 511.5) < 650.0
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_searches_miss_nothing(data: Data, tmp_path: Path) -> None:
     """Against every object at every frame, by SGP4 itself and the camera's projection."""
     from pipeline.capacity.patterns import slots_of
@@ -191,6 +196,7 @@ def test_searches_miss_nothing(data: Data, tmp_path: Path) -> None:
         assert not (s.light > 0.0).any()
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_axes_make_points(data: Data, tmp_path: Path) -> None:
     data |= {
         "duration_h": 2.0,
@@ -305,6 +311,7 @@ def test_decayed_objects_are_reported(
     assert again["notes"] == report["notes"]
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_resume_needs_the_same_study(data: Data, tmp_path: Path) -> None:
     data["duration_h"] = 1.0
     run_study(data, tmp_path, tmp_path / "out", ALONE)
@@ -315,6 +322,7 @@ def test_resume_needs_the_same_study(data: Data, tmp_path: Path) -> None:
         run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous", resume=True))
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_resume_needs_the_same_files(data: Data, tmp_path: Path) -> None:
     """A curve that was changed under its name would be mixed with what was found by the old one."""
     curve, again = tmp_path / "qe.csv", StudyOptions("synchronous", resume=True)
