@@ -14,6 +14,7 @@ import typer.main
 from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.cli import app
 from pipeline.spec.load import load_scene
+from pipeline.spec.study_load import read_study
 from tests.command import nightglass
 from tests.service.conftest import Server
 
@@ -31,9 +32,7 @@ COMMANDS = [
     "check run", "info run", "calibrate run -o calibrated", "color-fit scene.json",
     "light-curve scene.json --target chaser -o curve.parquet", "observe scene.json -o seen.csv",
     "find {root}/examples/population.yaml --night --step 60",
-    "study {root}/examples/studies/three-sites.yaml --dry-run",
-    "study {root}/examples/studies/three-sites.yaml -o studied --scheduler synchronous"
-    " --set catalogue.synthetic.objects=50",
+    "study study.json --dry-run", "study study.json -o studied --scheduler synchronous",
     "export run --to png -o pictures", "sweep sweep.json --dry-run", "sweep sweep.json -o swept",
     "catalog demo -o small --faintest 5", "catalog info small", "catalog verify small",
     "catalog cone small --ra 10 --dec 10 --radius 5 -o cone.csv",
@@ -65,7 +64,7 @@ ELSEWHERE = {  # commands that are not run here, and why
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A scene of few stars and a target, a sweep of it, dark frames."""
+    """A scene of few stars and a target, a sweep of it, a study, dark frames."""
     made = tmp_path_factory.mktemp("wide")
     data = load_scene(ROOT / "examples" / "space-based-rate.yaml").as_dict()
     data["name"] = "a-scene-with-quite-a-long-name-of-sixty-characters-or-even-more"
@@ -76,6 +75,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     data["stars"] = {"catalogue": "sky"}
     (made / "scene.json").write_text(json.dumps(data))
     (made / "sweep.json").write_text(json.dumps(SWEEP))
+    data = read_study(ROOT / "examples" / "studies" / "three-sites.yaml")
+    data["sensors"] = data["sensors"][2:]  # two at a site, and one in orbit
+    data["catalogue"]["synthetic"]["objects"] = 50
+    (made / "study.json").write_text(json.dumps(data))
     rng = np.random.default_rng(1)
     dark = rng.normal(100.0, 3.0, (3, 64, 64))
     dark[0, 20, 10:20] += 400.0
@@ -148,6 +151,7 @@ def test_output_fits(
 ) -> None:
     """Each command does its work, and no line of what it prints is cut or broken."""
     monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr("pipeline.survey.signal.LENGTHS", 24)  # most of what a sensor takes
     monkeypatch.chdir(folder)
     told = nightglass(*line.format(**words).split())
     assert told.returncode == 0, told.stderr
