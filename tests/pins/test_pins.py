@@ -8,14 +8,7 @@ import pytest
 
 from tests.pins.compare import differences, kind_here, load
 from tests.pins.draw import draw
-from tests.pins.files import write_files
 from tests.pins.scenes import NAMES, SCENES
-
-
-@pytest.fixture(scope="session")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The files that the scenes name, made anew."""
-    return write_files(tmp_path_factory.mktemp("pins"))
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -18,27 +18,28 @@ from pipeline.errors import NightglassError
 from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import parse_scene
 from tests.pins.draw import embedded_spectra, scene_data
-from tests.pins.files import write_files
 from tests.pins.told import TOLD, check_told
 
 # How many scenes each stored text has: one that is lost is a fault.
 SCENES_AT = {"sky": 47, "pointing": 39, "targets": 37, "sensor": 38, "decisions": 34}
 
 
-@pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_files(tmp_path_factory.mktemp("edges"))
-
-
 @cache
-def told_of(group: str, name: str, changes: str, files: Path) -> tuple[str, ...]:
-    """The refusal of a pinned scene with changes, or its warnings and remarks, or decisions."""
+def plan_of(name: str, changes: str, files: Path) -> dict[str, Any] | NightglassError:
+    """The plan of a pinned scene with changes, or its refusal."""
     with embedded_spectra():
         try:
             data = scene_data(name, files, YAML(typ="safe").load(changes))
-            plan = plan_scene(parse_scene(data))
+            return plan_scene(parse_scene(data))
         except NightglassError as error:
-            return (f"! {error}",)
+            return error
+
+
+def told_of(group: str, name: str, changes: str, files: Path) -> tuple[str, ...]:
+    """The refusal of a pinned scene with changes, or its warnings and remarks, or decisions."""
+    plan = plan_of(name, changes, files)
+    if isinstance(plan, NightglassError):
+        return (f"! {plan}",)
     told = [*(f"* {w}" for w in plan["warnings"]), *(f"- {r}" for r in plan["remarks"])]
     if group == "decisions":
         told = [_decided(d) for d in plan["decisions"]]

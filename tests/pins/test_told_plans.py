@@ -12,14 +12,8 @@ import pytest
 from pipeline.commands.pages import print_plan
 from pipeline.route.prepare import plan_scene
 from tests.pins.draw import embedded_spectra, scene_of
-from tests.pins.files import write_files
 from tests.pins.scenes import SCENES
 from tests.pins.told import check_told
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_files(tmp_path_factory.mktemp("told"))
 
 
 @pytest.mark.parametrize("name", SCENES)
