@@ -252,11 +252,16 @@ def test_the_same_writer_goes_on_at_once(bucket, local, monkeypatch):
     from pipeline.store import lease
 
     slurm = {"SLURM_CLUSTER_NAME": "c", "SLURM_JOB_ID": "77"}
+    left = Objects(f"{bucket}/killed-here")
+    holding(left.url, **slurm)
     for where in ("here", "there"):
         url, again = f"{bucket}/killed-{where}", replace(HERE, resume=True)
-        holding(url, **slurm)
-        if where == "there":  # as another machine sees it
+        if where == "here":
+            kept = {name: left.get(name) for name in left.names()}
+        else:  # as another machine sees it
             objects = Objects(url)
+            for name, content in kept.items():
+                objects.put(name, content)
             name = max(n for n in objects.names(".lock/"))
             held = json.loads(objects.get(name)) | {"host": "another"}
             objects.put(name, json.dumps(held).encode())
