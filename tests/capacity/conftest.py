@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
-from tests.survey.conftest import CAMERA
+from tests.survey.conftest import CAMERA, coarse_signal  # noqa: F401 - a fixture
 
 SITE = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3, "height_m": 3055}
 SMALL: dict[str, Any] = {
@@ -33,14 +32,6 @@ SMALL: dict[str, Any] = {
     "catalogue": {"synthetic": {"objects": 60, "seed": 4}},
     "tasking": {"kind": "cued", "revisit_h": 2.0},
 }
-
-
-@pytest.fixture(scope="module")
-def coarse_signal() -> Iterator[None]:
-    """SNR at fewer lengths of streaks: it is most of what a sensor takes to make."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pipeline.survey.signal.LENGTHS", 24)
-        yield
 
 
 @pytest.fixture

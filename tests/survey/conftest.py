@@ -45,6 +45,12 @@ def watcher(
     return make_watcher(asked, FieldOfRegard(**regard), EPOCH, tracks, "sensors.0")
 
 
+@pytest.fixture
+def coarse_signal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """SNR at fewer lengths of streaks: it is most of what a sensor takes to make."""
+    monkeypatch.setattr("pipeline.survey.signal.LENGTHS", 24)
+
+
 @pytest.fixture(scope="session")
 def objects() -> Elements:
     return synthetic_elements(Synthetic(objects=150, seed=5), EPOCH)

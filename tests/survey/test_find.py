@@ -128,17 +128,18 @@ def test_bad_input_is_one_line(wish: FindOptions, text: str) -> None:
 
 def test_limits_of_the_moments_are_included() -> None:
     """50,000 moments, the first at 0 and the last at the end; and 72 hours, not a second more."""
-    most = FindOptions(hours=49_999 / 3600.0, step_s=1.0)
-    offsets = _offsets(watcher(), most)
+    w, most = watcher(), FindOptions(hours=49_999 / 3600.0, step_s=1.0)
+    offsets = _offsets(w, most)
     np.testing.assert_array_equal(offsets, np.arange(50_000))
     with pytest.raises(BadInput, match="these: 50001"):
-        _offsets(watcher(), replace(most, hours=50_000 / 3600.0))
-    assert _offsets(watcher(), FindOptions(hours=72.0, step_s=600.0))[-1] == 72.0 * 3600.0
+        _offsets(w, replace(most, hours=50_000 / 3600.0))
+    assert _offsets(w, FindOptions(hours=72.0, step_s=600.0))[-1] == 72.0 * 3600.0
     with pytest.raises(BadInput, match="--hours"):
-        _offsets(watcher(), FindOptions(hours=72.001, step_s=600.0))
-    assert _offsets(watcher(), FindOptions(hours=0.0)).tolist() == [0.0]
+        _offsets(w, FindOptions(hours=72.001, step_s=600.0))
+    assert _offsets(w, FindOptions(hours=0.0)).tolist() == [0.0]
 
 
+@pytest.mark.usefixtures("coarse_signal")
 def test_no_night_and_no_population_are_refused() -> None:
     path = ROOT / "examples" / "population.yaml"
     north = load_scene(path, ["observer.latitude_deg=80", "epoch=2019-06-21T00:00:00Z"])
@@ -178,6 +179,7 @@ def test_the_list_shows_the_best_and_how_many_there_are(capsys: pytest.CaptureFi
         assert rows[most:] == [*left, "note: a note"]
 
 
+@pytest.mark.usefixtures("coarse_signal")
 def test_objects_too_faint_to_be_looked_at_are_no_failures() -> None:
     """All are left out by their bounds: none is seen, and SGP4 is not said to have failed."""
     scene = load_scene(ROOT / "examples" / "population.yaml")
@@ -187,6 +189,7 @@ def test_objects_too_faint_to_be_looked_at_are_no_failures() -> None:
     assert not [note for note in found.notes if "SGP4" in note]
 
 
+@pytest.mark.usefixtures("coarse_signal")
 def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor do the parts of a batch that are looked at in one go."""
     scene = load_scene(ROOT / "examples" / "population.yaml")
@@ -198,6 +201,7 @@ def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert find(scene, wish, 2).objects == whole.objects
 
 
+@pytest.mark.usefixtures("coarse_signal")
 def test_options_of_the_command() -> None:
     """Each limit leaves a part of what is found without it, and steps are as long as asked."""
     asked = ("--at", "2019-04-20T05:20:00Z", "--hours", "1.5")
@@ -224,6 +228,7 @@ def test_options_of_the_command() -> None:
     assert all(o["moments"] == 1 for o in one["objects"])
 
 
+@pytest.mark.usefixtures("coarse_signal")
 def test_the_best_moment_is_that_of_the_highest_snr() -> None:
     """Against each moment looked at alone."""
     singles: dict[str, dict[str, float]] = {}
@@ -241,6 +246,7 @@ def test_the_best_moment_is_that_of_the_highest_snr() -> None:
         assert o["snr"] == pytest.approx(max(of.values()))
 
 
+@pytest.mark.usefixtures("coarse_signal")
 def test_the_night_that_it_is() -> None:
     """At ten in the evening the night has begun already; at noon the next one is meant."""
     path = ROOT / "examples" / "population.yaml"
@@ -251,6 +257,7 @@ def test_the_night_that_it_is() -> None:
     assert "2019-04-21T05:00:00Z" < noon.start < "2019-04-21T06:00:00Z"
 
 
+@pytest.mark.usefixtures("coarse_signal")
 def test_what_sgp4_cannot_follow_is_told(tmp_path: Path) -> None:
     from tests.observe.test_against_others import tle
 
@@ -337,6 +344,7 @@ def as_utc(line1: str) -> str:
     return f"{np.datetime64('2019-01-01T00:00:00.000') + day}Z"
 
 
+@pytest.mark.usefixtures("coarse_signal")
 def test_objects_that_the_shadow_does_not_dim() -> None:
     """`eclipse: false`: they are found in the Earth's shadow, too."""
     dark = ("--night", "--step", "600", "--elevation", "60")
@@ -372,6 +380,7 @@ AROUND = {
 }  # fmt: skip
 
 
+@pytest.mark.usefixtures("coarse_signal")
 @pytest.mark.parametrize("kind", AROUND)
 def test_an_orbit_without_an_epoch_begins_at_the_scenes(kind: str, tmp_path: Path) -> None:
     """Half an hour later, by --at, a satellite that looks is half an hour on its way."""
@@ -394,6 +403,7 @@ def test_an_orbit_without_an_epoch_begins_at_the_scenes(kind: str, tmp_path: Pat
     assert found[0] == found[1]
 
 
+@pytest.mark.usefixtures("coarse_signal")
 def test_a_day_at_a_site_is_told() -> None:
     """22:00 UTC in Hawaii is noon; by night there is nothing to say."""
     path = ROOT / "examples" / "population.yaml"
@@ -405,6 +415,7 @@ def test_a_day_at_a_site_is_told() -> None:
     assert dark == [True, False]
 
 
+@pytest.mark.usefixtures("coarse_signal")
 def test_notes_say_which_limits_hold() -> None:
     """Those of the field of regard, and the camera's own where it is the larger."""
     path, wish = ROOT / "examples" / "population.yaml", FindOptions(at="2019-04-20T06:00:00Z")
