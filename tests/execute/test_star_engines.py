@@ -161,16 +161,17 @@ def test_same_choice_for_any_tiles():
 def test_every_engine_gives_the_same_light(light, psf, monkeypatch):
     """Bright and faint streaks by tables, as points, and star by star: alike within their parts,
     and those as points that such a table serves."""
-    plan = plan_of(20.0, psf=psf)
+    side, streak_px = (192, 20.0) if light < 3e8 else (64, 4.0)
+    plan = plan_of(streak_px, side, side, psf)
     g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
     rng = np.random.default_rng(5)
-    x, y = rng.uniform(10.0, SIDE - 10.0, (2, 12 if light < 3e8 else 1))
+    x, y = rng.uniform(10.0, side - 10.0, (2, 12 if light < 3e8 else 1))
     nothing = np.zeros(len(x))
     stars = FrameStars(
         np.arange(len(x)), x, y, nothing + light, nothing, nothing, nothing,
         np.zeros(len(x), np.uint8), np.zeros(len(x), np.uint8), np.ones(len(x)),
     )  # fmt: skip
-    tile = Tile(0, 0, 0, 0, SIDE, SIDE)
+    tile = Tile(0, 0, 0, 0, side, side)
 
     blur, served = plan.responses.blur, []
     error = cubic_bound(blur) / 64**4 + POINT_ROUNDING
