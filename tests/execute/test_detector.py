@@ -83,6 +83,10 @@ def frames(product) -> dict[str, np.ndarray]:
     return {str(n): cube[n].values for n in cube.data_vars if cube[n].dims == ("frame", "y", "x")}
 
 
+def is_near(found: np.ndarray, expected: np.ndarray, rel: float, off: float) -> bool:
+    return bool((np.abs(found - expected) <= np.maximum(rel * np.abs(expected), off)).all())
+
+
 EXTRAS = {
     "bad": {"bad": {"pixels": [[3, 300]], "rows": [7, 259], "columns": [256], "fraction": 1e-3,
                     "reads_dn": 9}},
@@ -135,7 +139,7 @@ def test_same_bits_in_every_tiling(name, tmp_path):
     for layer in ALL_LAYERS:
         assert np.array_equal(whole[layer], tiles[layer], equal_nan=True), layer
     light = whole["targets_e"] + whole["background_e"] + whole["dark_e"] + whole["lag_e"]
-    assert light == pytest.approx(whole["mean_e"], rel=1e-5, abs=1e-3)
+    assert is_near(light, whole["mean_e"], rel=1e-5, off=1e-3)
 
 
 @pytest.mark.parametrize("name", EXTRAS)
@@ -209,7 +213,7 @@ def test_smear_against_brute_force(towards, cleared, tmp_path, plain):
         if not cleared:
             passed += list(range(y)) if up else list(range(y + 1, SIDE))
         expected[y] += step * still[passed].sum(axis=0)
-    assert frames(tmp_path / "run")["targets_e"][0] == pytest.approx(expected, rel=1e-5, abs=1e-6)
+    assert is_near(frames(tmp_path / "run")["targets_e"][0], expected, rel=1e-5, off=1e-6)
 
 
 @pytest.mark.parametrize("count", [3, pytest.param(5, marks=pytest.mark.slow)])
@@ -228,7 +232,7 @@ def test_lag_against_frame_by_frame(count, tmp_path):
     for k in range(count):
         collected = np.minimum(still["mean_e"][k] + still["cosmic_rays_e"][k].astype(float), 60000)
         read = 0.95 * (still["mean_e"][k] + kept)
-        assert lag["mean_e"][k] == pytest.approx(read, abs=0.2, rel=1e-5)
+        assert is_near(lag["mean_e"][k], read, rel=1e-5, off=0.2)
         kept = 0.05 * (collected + kept)
     (tmp_path / "lag" / "_COMPLETE").unlink()
     for marker in (tmp_path / "lag" / "markers").glob(f"f{count - 1:06d}*"):
