@@ -224,24 +224,25 @@ RANDOM: dict[str, Any] = {
 def test_same_random_motion_in_every_window(scene: Make) -> None:
     s = scene({"pointing": SIDEREAL | {"attitude": RANDOM}, "seed": 5})
     whole = every(s)
-    for frames in ([0], [4], [2, 3], [3, 0]):
+    for frames in ([4], [3, 0]):
         part = plan_geometry(s, np.array(frames), 0.0)
         for i, frame in enumerate(frames):
             one, other = part.frame_slice(i), whole.frame_slice(frame)
             assert np.array_equal(one.attitude, other.attitude)
-    other = every(scene({"pointing": SIDEREAL | {"attitude": RANDOM}, "seed": 6}))
-    assert not np.array_equal(other.attitude, whole.attitude)
+    seeded = scene({"pointing": SIDEREAL | {"attitude": RANDOM}, "seed": 6})
+    other = plan_geometry(seeded, np.array([0]), 0.0).frame_slice(0)
+    assert not np.array_equal(other.attitude, whole.frame_slice(0).attitude)
 
 
 def test_random_motion_has_the_size_asked_for(scene: Make) -> None:
-    """Path and blur together, over 600 frames: white 1, flicker 2, mode 3 arcsec rms in x."""
+    """Path and blur together, over 300 frames: white 1, flicker 2, mode 3 arcsec rms in x."""
     s = scene({"pointing": SIDEREAL | {"attitude": {**RANDOM, "modes": RANDOM["modes"][:1]}},
-               "exposure.frames": 600, "stars": None})  # fmt: skip
+               "exposure.frames": 300, "stars": None})  # fmt: skip
     plan = motion_plan(s)
     assert plan is not None
     from pipeline.plan.pointing.attitude_motion import random_motion_rad
 
-    moved = random_motion_rad(s, np.arange(600), plan.nodes) / ARCSEC
+    moved = random_motion_rad(s, np.arange(300), plan.nodes) / ARCSEC
     uneven = 2.0 * (plan.uneven_px * 1e-5 / ARCSEC) ** 2 / 2.0
     blur = (plan.blur_px * 1e-5 / ARCSEC) ** 2
     assert moved[..., 0].var() + blur + uneven == pytest.approx(14.0, rel=0.2)
