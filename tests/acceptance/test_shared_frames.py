@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -99,8 +100,9 @@ def test_the_bound_is_of_the_sharpest_place_of_the_field(scene, sharpest):
     assert bounds[0] == pytest.approx(bounds[1], rel=1e-6)
 
 
-@pytest.mark.parametrize("tiles", [[256, 256], [640, 256]])
-@pytest.mark.parametrize("scheduler", ["synchronous", "threads"])
+@pytest.mark.parametrize(
+    ("tiles", "scheduler"), [([256, 256], "threads"), ([640, 256], "synchronous")]
+)
 def test_same_bits_for_any_tile_and_scheduler(scene, shared, tmp_path, tiles, scheduler):
     cut = scene({"output": {"layers": ["dn", "stars_e", "targets_e"], "tile_shape": tiles}})
     render(cut, tmp_path / "run", Options(scheduler))
@@ -111,13 +113,13 @@ def test_same_bits_for_any_tile_and_scheduler(scene, shared, tmp_path, tiles, sc
 def test_same_bits_where_the_first_frame_is_there_already(scene, shared, tmp_path):
     """What is left of a product is drawn where the first frame's stars stand, not its own."""
     path = tmp_path / "run"
-    report = render(scene(), path, Options("synchronous"))
+    shutil.copytree(shared[0], path)
     (path / "_COMPLETE").unlink()
     for marker in (path / "markers").iterdir():
         if place_of(marker)[0] in (1, 3):
             marker.unlink()
     again = render(scene(), path, Options("synchronous", resume=True))
-    assert again["content_digest"] == report["content_digest"] == shared[1]["content_digest"]
+    assert again["content_digest"] == shared[1]["content_digest"]
     assert check(path).whole
     for name in ("dn", "stars_e"):
         np.testing.assert_array_equal(layer(path, name), layer(shared[0], name))
@@ -128,7 +130,7 @@ def test_charge_that_stays_behind(scene, tmp_path):
     lag = {"sensor.detector": {"lag": {"fraction": 0.02}}, "sensor.full_well_e": 1e9}
     whole, rest = tmp_path / "whole", tmp_path / "rest"
     report = render(scene(lag), whole, Options("synchronous"))
-    render(scene(lag), rest, Options("synchronous"))
+    shutil.copytree(whole, rest)
     (rest / "_COMPLETE").unlink()
     for marker in (rest / "markers").iterdir():
         if place_of(marker)[0] == 4:
