@@ -259,7 +259,8 @@ def sky_distance_au(s):
 
 
 def test_galactic_light_is_brighter_in_the_plane(scene):
-    wish = {"stars": None, "background": {"galactic": True, "uniform_e_per_s": 0.0}}
+    wish = {"stars": None, "background": {"galactic": True, "uniform_e_per_s": 0.0},
+            "sensor.shape": [16, 16]}  # fmt: skip
     found = []
     for ra, dec in ((266.4, -28.9), (192.86, 27.13)):  # the galactic centre, the pole
         at = {"mode": "sidereal", "boresight_ra_deg": ra, "boresight_dec_deg": dec}
@@ -364,7 +365,7 @@ def test_fill_factor_takes_its_fraction_of_every_part(scene, mapped, part):
         s, _, sky, _ = planned(scene, changes | {"sensor.fill_factor": fill}, (mapped,))
         images[fill] = whole(s, sky)
     assert images[1.0].min() > 0.0
-    assert images[0.55] == pytest.approx(0.55 * images[1.0], rel=1e-3)
+    np.testing.assert_allclose(images[0.55], 0.55 * images[1.0], rtol=1e-3)
 
 
 @pytest.mark.parametrize("up_deg", [20.0, 65.0])
