@@ -82,9 +82,9 @@ def layer(made: Any, path: Path, name: str = "stars_e") -> np.ndarray:
 
 
 def row_by_row(x: Any, y: Any, at_s: Any, rate_e_s: Any, delay_s: np.ndarray) -> np.ndarray:
-    """Electrons (ny, nx) of a Gaussian source: each row's own exposure in 400 steps."""
+    """Electrons (ny, nx) of a Gaussian source: each row's own exposure in 100 steps."""
     image, cells = np.zeros((SIDE, SIDE)), np.arange(SIDE + 1) - 0.5
-    steps = (np.arange(400) + 0.5) / 400 * TIME_S
+    steps = (np.arange(100) + 0.5) / 100 * TIME_S
     for row in range(SIDE):
         t = delay_s[row] + steps
         px, py, rate = (np.interp(t, at_s, v) for v in (x, y, rate_e_s))
@@ -163,7 +163,7 @@ def test_same_bits_in_every_tiling_and_truth(catalogue: str, tmp_path: Path) -> 
 def test_nothing_changes_where_nothing_moves(catalogue: str, tmp_path: Path) -> None:
     still = layer(scene(catalogue, 0.0), tmp_path / "a")
     rolling = layer(scene(catalogue, 0.0, {"line_s": LINE_S}), tmp_path / "b")
-    assert rolling == pytest.approx(still, abs=1e-3)
+    assert (np.abs(rolling - still) <= np.maximum(1e-3, 1e-6 * still)).all()
 
 
 @given(st.floats(-15, 15), st.floats(-15, 15), st.floats(-0.3, 0.3), st.floats(-50, 350))
