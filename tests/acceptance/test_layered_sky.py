@@ -115,7 +115,7 @@ def folders(tmp_path_factory) -> dict[str, Path]:
     make(root / "main", main, MAIN_JYEAR)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shards, "MIN_BAND_ROWS", 1)
-        patch.setattr(shards, "MAX_ROW_GROUP_ROWS", 4)
+        patch.setattr(shards, "MAX_ROW_GROUP_ROWS", 12)
         make(root / "cut", main, MAIN_JYEAR, rows_per_leaf=200)
     make(root / "bright", layer, LAYER_JYEAR)
     (root / "file").write_text("no catalogue")
