@@ -30,7 +30,7 @@ def pattern(p: Pupil, y: np.ndarray, x: np.ndarray, step: float = 1 / 256) -> np
     return ((down @ transfer) * along).sum(axis=1).real * step**2
 
 
-def brute(p: Pupil, y: np.ndarray, x: np.ndarray, n: int = 1500) -> np.ndarray:
+def brute(p: Pupil, y: np.ndarray, x: np.ndarray, n: int = 2200) -> np.ndarray:
     """The same by the Fourier integral over a black and white pupil of n x n points."""
     at = (np.arange(n) + 0.5) / n - 0.5
     v, u = at[:, None], at[None, :]
