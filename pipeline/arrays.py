@@ -122,8 +122,8 @@ class Geometry:
         barycentric, at one node of one frame (by index)."""
         return self.observer_m[frame, node], self.observer_m_s[frame, node], self.sun_m[frame, node]
 
-    def air_at(self, frame: int, node: int) -> Array | None:
-        """The air (5,) at one node of one frame (by index); None without."""
+    def air_at(self, frame: int, node: int | slice) -> Array | None:
+        """The air (5,) at one node of one frame (by index), (n, 5) at several; None without."""
         return self.air[frame, node] if self.has_air else None
 
     @property

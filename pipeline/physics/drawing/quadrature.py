@@ -88,7 +88,7 @@ def affordable(blur: Blur, path: Path, shape: tuple[int, int]) -> bool:
 def points_along(blur: Blur, path: Path) -> int:
     """Points of a path, and of the steps of a charge, that each pixel sums."""
     lengths = np.hypot(np.diff(path.x_px), np.diff(path.y_px))
-    count = sum(_count(blur, float(length)) for length in lengths)
+    count = int(_counts(blur, lengths).sum())
     return count * (nodes_of(blur) if blur.clock_px else 1)
 
 
@@ -316,22 +316,23 @@ def _unit(n: int) -> tuple[Array, Array]:
     return 0.5 * at, 0.5 * weight
 
 
-def _count(blur: Blur, length_px: float) -> int:
-    """Gauss-Legendre nodes along so many px: of all waves of the response's band."""
-    if not length_px:
-        return 1
-    parts = math.ceil(length_px / LONGEST_PX)
-    waves = blur.band_limit(BAND_FLOOR) * length_px / parts
-    return parts * math.ceil(1.75 * waves + 16.0 * min(1.0, math.sqrt(waves)) + 2.0)
+def _counts(blur: Blur, lengths_px: Array) -> NDArray[np.intp]:
+    """Gauss-Legendre nodes along so many px, each: of all waves of the response's band."""
+    parts = np.ceil(lengths_px / LONGEST_PX)
+    waves = blur.band_limit(BAND_FLOOR) * lengths_px / np.maximum(parts, 1.0)
+    each = np.ceil(1.75 * waves + 16.0 * np.minimum(1.0, np.sqrt(waves)) + 2.0)
+    return np.where(lengths_px > 0.0, parts * each, 1.0).astype(np.intp)
 
 
 def _points(blur: Blur, path: Path, n: int, finer: bool) -> Array:
     """(points, 3) y, x and share of the light along a path, and of the steps of a charge."""
     out = []
-    for k in range(path.segments):
-        dy, dx = path.y_px[k + 1] - path.y_px[k], path.x_px[k + 1] - path.x_px[k]
-        parts = max(1, math.ceil(math.hypot(dy, dx) / LONGEST_PX))
-        at, weight = _unit(_count(blur, math.hypot(dy, dx)) // parts * (3 if finer else 2) // 2)
+    rows_px, columns_px = np.diff(path.y_px), np.diff(path.x_px)
+    lengths_px = np.hypot(rows_px, columns_px)
+    counts = _counts(blur, lengths_px)
+    for k, (dy, dx) in enumerate(zip(rows_px, columns_px, strict=True)):
+        parts = max(1, math.ceil(lengths_px[k] / LONGEST_PX))
+        at, weight = _unit(int(counts[k]) // parts * (3 if finer else 2) // 2)
         along = ((np.arange(parts)[:, None] + 0.5 + at) / parts).ravel()
         share = np.tile(weight / parts, parts) * path.weight[k]
         out.append(np.stack([path.y_px[k] + along * dy, path.x_px[k] + along * dx, share], axis=1))

@@ -16,6 +16,7 @@ from pipeline.physics.positions.refraction import refract, unrefract
 
 Array = NDArray[np.float64]
 
+AT_ONCE = 4096  # places that are worked out together
 UNROLLED = 3  # turns of the search for where a star stands in the first row's time
 
 
@@ -90,12 +91,14 @@ def still_paths(
     """The same where all rows are exposed together, or in the time of the first one."""
     out = np.empty((2, len(x_px), *g.offset_s.shape))
     beta = g.observer_m_s / SPEED_OF_LIGHT_M_S * (1.0 if aberration else 0.0)
+    step = max(1, AT_ONCE // max(1, len(x_px)))
     for f in range(len(g.frame)):
         seen = deproject(camera, g.attitude[f, g.middle], x_px, y_px)
         stars = unaberrate(unrefract(seen, g.air_at(f, g.middle)), beta[f, g.middle])
-        for k in range(g.nodes):
-            u = refract(aberrate(stars, beta[f, k]), g.air_at(f, k))
-            out[:, :, f, k] = project(camera, g.attitude[f, k], u)
+        for k in range(0, g.nodes, step):
+            some = slice(k, k + step)
+            u = refract(aberrate(stars[:, None], beta[f, some]), g.air_at(f, some))
+            out[:, :, f, some] = project(camera, np.moveaxis(g.attitude[f, some], 0, -1), u)
         if camera.charge_px_s:
             out[1, :, f] -= camera.charge_px_s * (g.offset_s[f] - g.offset_s[f, g.middle])
     return out
