@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.pins.files import write_files
 
+PREFIX = "files-that-pinned-scenes-name--"
+
 
 @pytest.fixture(scope="session")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_files(tmp_path_factory.mktemp("told"))
+def files() -> Iterator[Path]:
+    """A path of 44 letters wherever tests run: lines that name it fold at the same words."""
+    with tempfile.TemporaryDirectory(prefix=PREFIX, dir="/tmp") as folder:
+        yield write_files(Path(folder))
