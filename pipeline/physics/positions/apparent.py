@@ -156,16 +156,18 @@ def star_proper(
     Parameters
     ----------
     astrometric : (n, 3) unit vectors.
-    observer_position_m, observer_velocity_m_s, sun_position_m : (3,) barycentric ICRS.
+    observer_position_m, observer_velocity_m_s, sun_position_m : barycentric ICRS, (3,) or of each
+        source (n, 3).
     """
-    to_observer_m = np.asarray(observer_position_m, float) - np.asarray(sun_position_m, float)
-    distance_au = float(np.sqrt(np.sum(to_observer_m**2))) / ASTRONOMICAL_UNIT_M
-    beta = np.asarray(observer_velocity_m_s, float) / SPEED_OF_LIGHT_M_S
+    # "C": each row is summed as one alone, to the bit
+    to_observer_m = np.subtract(observer_position_m, sun_position_m, order="C", dtype=float)
+    distance_au = np.sqrt(np.sum(to_observer_m**2, axis=-1)) / ASTRONOMICAL_UNIT_M
+    beta = np.divide(observer_velocity_m_s, SPEED_OF_LIGHT_M_S, order="C")
     u = np.ascontiguousarray(astrometric, dtype=np.float64)
     if deflection:
         u = unit(era.ldsun(u, unit(to_observer_m), distance_au))  # ERFA leaves 1e-10 at the limb
     if aberration:
-        speed = float(np.sqrt(np.sum(beta**2)))
+        speed = np.sqrt(np.sum(beta**2, axis=-1))
         u = era.ab(u, beta, distance_au, np.sqrt((1.0 - speed) * (1.0 + speed)))
     return u
 
@@ -178,9 +180,10 @@ def proper_to_astrometric(
 ) -> Array:
     """The inverse of `star_proper` to 1e-14 rad (fixed point, outside the solar disc).
 
-    observer : its position and velocity and the Sun's position, as `star_proper` takes them
+    observer : its position and velocity and the Sun's position, as `star_proper` takes them; of
+        each direction, each is found by itself
     """
-    beta = np.asarray(observer[1], float) / SPEED_OF_LIGHT_M_S
+    beta = np.divide(observer[1], SPEED_OF_LIGHT_M_S, order="C")
     bent = np.array(u_proper, dtype=np.float64)
     if aberration:  # the exact boost, then the small part that `ab` adds to it
         sought = bent
@@ -191,11 +194,14 @@ def proper_to_astrometric(
         bent = unaberrate(bent, beta)
     if not deflection:
         return bent
-    u = bent
+    u, together = bent, None if beta.ndim == 1 else -1
+    found = np.zeros((), bool)
     for _ in range(_MAX_ITERATIONS):
         step = star_proper(u, *observer, aberration=False) - bent
-        u = unit(u - step)
-        if np.nanmax(np.abs(step), initial=0.0) < 1e-15:
+        u = np.where(found, u, unit(u - step))
+        off = np.nanmax(np.abs(step), together, initial=0.0, keepdims=True)
+        found = found | (off < 1e-15)
+        if found.all():
             break
     return u
 

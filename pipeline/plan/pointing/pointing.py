@@ -145,21 +145,12 @@ def _attitudes_of(scene: Scene, plan: DwellPlan, m: Vantage) -> Array:
     elif isinstance(p, TargetPointing):
         names = [t.name for t in scene.targets]
         proper = m.sights[names.index(p.target)].direction_proper
-        astrometric = np.concatenate(
-            [
-                proper_to_astrometric(u[None], (r, v, s), **effects)
-                for u, r, v, s in zip(proper, m.position_m, m.velocity_m_s, m.sun_m, strict=True)
-            ]
-        )
+        observer = m.position_m, m.velocity_m_s, m.sun_m
+        astrometric = proper_to_astrometric(np.ascontiguousarray(proper), observer, **effects)
         return proper_attitude(boresight_frame(astrometric, p.roll_deg * DEG_RAD), proper)
     else:
         frames = _on_the_sky(p, m.offset_s - plan.start_s if plan.start_s else m.offset_s)
-    proper = np.concatenate(
-        [
-            star_proper(a[2][None], r, v, s, **effects)
-            for a, r, v, s in zip(frames, m.position_m, m.velocity_m_s, m.sun_m, strict=True)
-        ]
-    )
+    proper = star_proper(frames[:, 2], m.position_m, m.velocity_m_s, m.sun_m, **effects)
     return proper_attitude(frames, proper)
 
 
