@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,13 +78,21 @@ def dwell_plans(scene: Scene) -> tuple[DwellPlan, ...]:
                 (exposure.integration_s,),
             ),
         )
+    return _plans_of(scene.dwells, exposure, scene.pointing, last_row_late_s(scene))
+
+
+@lru_cache(maxsize=16)  # they are asked for over and over, for single frames too
+def _plans_of(
+    dwells: tuple[Dwell, ...], exposure: Exposure, pointing: Pointing, late_s: float
+) -> tuple[DwellPlan, ...]:
+    """The same of named dwells; late_s : of a scene's last row."""
     out: list[DwellPlan] = []
     first, end = 0, 0.0
-    for i, dwell in enumerate(scene.dwells):
+    for i, dwell in enumerate(dwells):
         times, step = _times_s(exposure, i, dwell)
-        start, slew = _begin_s(i, dwell, end, last_row_late_s(scene))
-        pointing, frames = dwell.pointing or scene.pointing, dwell.frames or exposure.frames
-        out.append(DwellPlan(i, dwell, pointing, first, frames, start, step, times, slew))
+        start, slew = _begin_s(i, dwell, end, late_s)
+        held, frames = dwell.pointing or pointing, dwell.frames or exposure.frames
+        out.append(DwellPlan(i, dwell, held, first, frames, start, step, times, slew))
         first, end = first + frames, out[-1].end_s
     if first > MOST_FRAMES:
         raise BadInput("dwells", f"{first} frames", f"at most {MOST_FRAMES} frames in all")
