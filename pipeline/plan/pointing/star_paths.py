@@ -89,12 +89,21 @@ def still_paths(
     camera: Camera, g: Geometry, x_px: Array, y_px: Array, aberration: bool = True
 ) -> Array:
     """The same where all rows are exposed together, or in the time of the first one."""
+    return paths_of_those_at(camera, g, g, x_px, y_px, aberration)
+
+
+def paths_of_those_at(
+    camera: Camera, now: Geometry, g: Geometry, x_px: Array, y_px: Array, aberration: bool
+) -> Array:
+    """Pixel places (2, n, F, K) at the nodes of `g` of the stars that stand at (x, y) at
+    mid-exposure of the same frames of `now`."""
     out = np.empty((2, len(x_px), *g.offset_s.shape))
-    beta = g.observer_m_s / SPEED_OF_LIGHT_M_S * (1.0 if aberration else 0.0)
+    whole = 1.0 if aberration else 0.0
+    beta_now, beta = (of.observer_m_s / SPEED_OF_LIGHT_M_S * whole for of in (now, g))
     step = max(1, AT_ONCE // max(1, len(x_px)))
     for f in range(len(g.frame)):
-        seen = deproject(camera, g.attitude[f, g.middle], x_px, y_px)
-        stars = unaberrate(unrefract(seen, g.air_at(f, g.middle)), beta[f, g.middle])
+        seen = deproject(camera, now.attitude[f, now.middle], x_px, y_px)
+        stars = unaberrate(unrefract(seen, now.air_at(f, now.middle)), beta_now[f, now.middle])
         for k in range(0, g.nodes, step):
             some = slice(k, k + step)
             u = refract(aberrate(stars[:, None], beta[f, some]), g.air_at(f, some))

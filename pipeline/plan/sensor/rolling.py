@@ -7,15 +7,11 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Geometry
 from pipeline.errors import BadInput
-from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
 from pipeline.physics.motion.rolling import later
-from pipeline.physics.positions.apparent import aberrate, unaberrate
-from pipeline.physics.positions.focal_plane import Camera, deproject, project
-from pipeline.physics.positions.refraction import refract, unrefract
 from pipeline.plan.pointing.attitude_motion import motion_plan
 from pipeline.plan.pointing.geometry import camera_of, late_geometry, with_frames
 from pipeline.plan.pointing.paths import near_frame
-from pipeline.plan.pointing.star_paths import field_points, still_paths
+from pipeline.plan.pointing.star_paths import field_points, paths_of_those_at, still_paths
 from pipeline.plan.timing import dwell_plans, last_row_late_s
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import RollingShutter
@@ -128,7 +124,8 @@ def _off_px(scene: Scene, g: Geometry, dut1_s: float, readout_s: float) -> float
     if scene.stars is not None:
         x, y = field_points(camera)
         told = later(still_paths(camera, now, x, y, aberration), times, readout_s)
-        off.append(float(np.abs(told - _stars_late(camera, now, late, aberration)).max()))
+        true = paths_of_those_at(camera, now, late, x, y, aberration)
+        off.append(float(np.abs(told - true).max()))
     if scene.targets:
         near = near_frame(scene, now)
         for name in ("target_x_px", "target_y_px"):
@@ -136,19 +133,3 @@ def _off_px(scene: Scene, g: Geometry, dut1_s: float, readout_s: float) -> float
                 apart = later(getattr(now, name), times, readout_s) - getattr(late, name)
             off.append(float(np.nanmax(np.abs(apart[near]), initial=0.0)))
     return max(off)
-
-
-def _stars_late(camera: Camera, now: Geometry, late: Geometry, aberration: bool) -> Array:
-    """Where the stars that `still_paths` follows really are at the nodes of a later geometry."""
-    x, y = field_points(camera)
-    out = np.empty((2, len(x), *late.offset_s.shape))
-    whole = 1.0 / SPEED_OF_LIGHT_M_S if aberration else 0.0
-    for f in range(len(now.frame)):
-        seen = unrefract(
-            deproject(camera, now.attitude[f, now.middle], x, y), now.air_at(f, now.middle)
-        )
-        stars = unaberrate(seen, now.observer_m_s[f, now.middle] * whole)
-        for k in range(late.nodes):
-            u = refract(aberrate(stars, late.observer_m_s[f, k] * whole), late.air_at(f, k))
-            out[:, :, f, k] = project(camera, late.attitude[f, k], u)
-    return out
