@@ -21,7 +21,6 @@ from typing import Any, BinaryIO
 
 from catalog_tools.catalogue import MANIFEST_NAME
 from catalog_tools.documents import JsonObject
-from catalog_tools.engine.heap import few_collections, one_heap
 from pipeline.errors import NO_ROOM, BadInput, Damaged, DiskFull, NightglassError, TryLater
 from service import logs
 from service.problems import cut, mistake_dict, mistakes_of
@@ -31,8 +30,6 @@ log = logging.getLogger("nightglass.engine")
 
 def main() -> None:
     """Read the order, do it, say how it went."""
-    one_heap()
-    few_collections()
     answers = os.fdopen(os.dup(1), "wb", buffering=0)
     os.dup2(2, 1)  # whatever a library prints must not be taken for an answer
     line = sys.stdin.buffer.readline()
@@ -42,7 +39,7 @@ def main() -> None:
     logs.set_up()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     say = partial(_say, answers)
-    try:  # what is loaded may print, or fail, and takes a second in which the parent may end
+    try:  # what is loaded now may print, or fail
         say(import_module("service.engine.orders").ORDERS[order["do"]](order, say))
     except Exception as error:
         if not isinstance(error, NightglassError):
@@ -125,7 +122,3 @@ def _clean(text: str, order: JsonObject) -> str:
     for place, name in places:
         text = text.replace(place, name)
     return text
-
-
-if __name__ == "__main__":
-    main()

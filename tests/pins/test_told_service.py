@@ -112,7 +112,6 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     monkeypatch.setattr("service.jobs.changes.BETWEEN_LOOKS_S", 0.002)
     monkeypatch.setattr("service.engine.processes.worker", engine)
     monkeypatch.setattr("service.engine.attempts.worker", engine)
-    monkeypatch.setattr(worker, "one_heap", lambda: None)
     monkeypatch.setattr(worker.logs, "set_up", lambda: None)
     return clock
 
