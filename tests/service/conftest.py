@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import os
 import re
 import subprocess
@@ -181,6 +182,12 @@ class Server:
         answer = self.client.post("/v1/jobs", json=scene, headers=headers)
         assert answer.status_code == 202, answer.text
         return answer.headers["location"]
+
+    def held(self, scene: dict[str, Any], **headers: str) -> str:
+        """The path of a job that waits until its owner starts it (UWS: PHASE=RUN)."""
+        form = {"SCENE": json.dumps(scene)}
+        made = self.client.post("/uws/async", data=form, headers=headers).headers["location"]
+        return f"/v1/jobs/{made.rpartition('/')[2]}"
 
     def until(
         self, job: str, wanted: Callable[[dict[str, Any]], bool], limit_s: float = 300

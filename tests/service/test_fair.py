@@ -52,12 +52,6 @@ def plan(server: Any, team: str, scene: dict[str, Any]) -> int:
     return server.client.post("/v1/jobs?dry_run=1", json=scene, headers=keys).status_code
 
 
-def held(client: httpx.Client, scene: dict[str, Any]) -> str:
-    """The path of a job that waits until its owner starts it."""
-    made = client.post("/uws/async", data={"SCENE": json.dumps(scene)}).headers["location"]
-    return f"/v1/jobs/{made.rpartition('/')[2]}"
-
-
 def sent(server: Any, team: str, scene: dict[str, Any]) -> socket.socket:
     """The connection on which a dry run was asked for, and is answered."""
     url, body = httpx.URL(server.url), json.dumps(scene).encode()
@@ -89,7 +83,7 @@ def test_large_dry_runs_hold_up_no_other_team_and_end_when_abandoned(
 
 def test_one_teams_watchers_leave_places_for_others(shared: Any, scene: dict[str, Any]) -> None:
     with httpx.Client(base_url=shared.url, headers=shared.keys["red"]) as red:
-        job = held(red, scene)
+        job = shared.held(scene, **shared.keys["red"])
         opened = []
         for _ in range(LIMITS["WATCHERS"]):
             request = red.build_request("GET", f"{job}/events")
@@ -99,7 +93,7 @@ def test_one_teams_watchers_leave_places_for_others(shared: Any, scene: dict[str
         assert opened[-1].headers["retry-after"]
         assert red.get(job, params={"wait": 5}).status_code == 429
         with httpx.Client(base_url=shared.url, headers=shared.keys["blue"]) as blue:
-            other = held(blue, scene)
+            other = shared.held(scene, **shared.keys["blue"])
             assert blue.get(other, params={"wait": 0.5}).status_code == 200
         for answer in opened:
             answer.close()
@@ -114,7 +108,7 @@ def test_watchers_that_come_and_go_cost_no_memory(
     make_server: Callable[..., Any], scene: dict[str, Any]
 ) -> None:
     server = make_server(NIGHTGLASS_WATCHERS="2000")
-    job = held(server.client, scene)
+    job = server.held(scene)
     limits = httpx.Limits(max_connections=None)
 
     def round_of(count: int) -> int:

@@ -215,14 +215,14 @@ def test_a_second_process_watches_but_does_not_run(server: Any, scene: dict[str,
 
 def test_events_tell_every_change_and_end(server: Any, scene: dict[str, Any]) -> None:
     """A heartbeat, too, while nothing changes: before its owner starts the job."""
-    held = server.client.post("/uws/async", data={"SCENE": json.dumps(scene)}).headers["location"]
-    job = f"/v1/jobs/{held.rpartition('/')[2]}"
+    job = server.held(scene)
+    own = f"/uws/async/{job.rpartition('/')[2]}/phase"
     seen, lines = [], []
     with server.client.stream("GET", f"{job}/events") as stream:
         assert stream.headers["content-type"].startswith("text/event-stream")
         for line in stream.iter_lines():
             if line == ": heartbeat" and line not in lines:
-                server.client.post(f"{held}/phase", data={"PHASE": "RUN"})
+                server.client.post(own, data={"PHASE": "RUN"})
             lines.append(line)
             if line.startswith("data: "):
                 seen.append(json.loads(line[6:]))
