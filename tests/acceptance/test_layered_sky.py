@@ -28,6 +28,7 @@ from pipeline.spec.load import load_scene, parse_scene, scene_yaml
 from pipeline.store.cube import open_cube
 from pipeline.store.product import check
 from tests.command import nightglass
+from tests.slow import slow
 
 LAYER_JYEAR, MAIN_JYEAR = 1991.25, 2015.5
 COLUMNS = ("source_id", "ra", "dec", "pmra", "pmdec", "phot_g_mean_mag")
@@ -262,7 +263,7 @@ def test_what_is_told(reference, folders):
 
 @pytest.mark.parametrize(
     "tile",
-    [[256, 256], *(pytest.param(t, marks=pytest.mark.slow) for t in ([512, 256], [256, 512]))],
+    [[256, 256], *(slow(t) for t in ([512, 256], [256, 512]))],
     ids=str,
 )
 def test_same_bits_for_every_tile_shape(tile, layered, reference, tmp_path):

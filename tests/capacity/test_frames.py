@@ -18,6 +18,7 @@ from pipeline.plan.resolved import ResolvedScene
 from pipeline.resolve.resolve import resolve
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
+from tests.slow import slow
 
 TIME_S = 1.0
 
@@ -125,7 +126,7 @@ def judged(table: np.ndarray) -> dict[str, float]:
     }
 
 
-@pytest.mark.parametrize("count", [6, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [6, slow(300)])
 def test_against_rendered_frames(data: dict[str, Any], tmp_path: Path, count: int) -> None:
     table = compared(data, tmp_path, count)
     told = judged(table)

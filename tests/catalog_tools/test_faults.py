@@ -15,8 +15,9 @@ from star_rows import random_stars, same_rows, write_csv
 from catalog_tools.catalogue import open_catalogue
 from catalog_tools.ingest.ingest import ingest
 from catalog_tools.query.query import cone
+from tests.slow import slow
 
-KILLS = 10
+KILLS = 5
 
 # One process imports everything, then forks: a child ingests, and is killed after a random while.
 DRIVER = """
@@ -80,7 +81,7 @@ def content(root: Path) -> dict[str, str]:
     return found
 
 
-@pytest.mark.parametrize("kills", [KILLS, pytest.param(24, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kills", [KILLS, slow(24)])
 def test_killed_at_random_moments_the_content_is_that_of_an_undisturbed_ingest(kills, tmp_path):
     stars = random_stars(4_800, 3)
     source = tmp_path / "in"

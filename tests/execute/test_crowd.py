@@ -15,6 +15,7 @@ from pipeline.route.prepare import plan_scene
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
+from tests.slow import slow
 
 IFOV_DEG = 2.0 / 3600.0
 RA_DEG, DEC_DEG, SIDE = 80.0, 20.0, 600
@@ -86,7 +87,7 @@ MOFFAT = {"kind": "moffat", "fwhm_px": 2.5}
     ("psf", "streak"),
     [
         (GAUSS, 0.0), (MOFFAT, 0.0), (AIRY, 60.0),
-        *(pytest.param(*v, marks=pytest.mark.slow)
+        *(slow(*v)
           for v in ((AIRY, 0.0), (GAUSS, 60.0), (MOFFAT, 60.0))),
     ],
     ids=str,

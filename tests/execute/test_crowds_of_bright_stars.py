@@ -20,6 +20,7 @@ from pipeline.route.prepare import prepare
 from pipeline.route.run import render
 from pipeline.route.truths import _bounds
 from pipeline.spec.load import parse_scene
+from tests.slow import slow
 
 PIXEL_DEG = np.degrees(1e-5)
 
@@ -99,7 +100,7 @@ def test_errors_of_a_crowd() -> None:
     assert crowd_error_e(none[:0], none[:0], none[:0], none[:0], 1.0, 40.0) == 0.0
 
 
-@pytest.mark.parametrize(("g_mag", "least_e"), [(5.0, 5e6), (2.5, 5e7)])
+@pytest.mark.parametrize(("g_mag", "least_e"), [(5.0, 5e6), slow(2.5, 5e7)])
 def test_one_bright_star_of_a_streaked_frame_is_as_stated(
     tmp_path: Path, g_mag: float, least_e: float
 ) -> None:

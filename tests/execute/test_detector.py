@@ -25,6 +25,7 @@ from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import CELL_PX
 from pipeline.store.cube import open_cube
 from pipeline.store.product import Begun
+from tests.slow import slow
 
 SIDE = 320
 SCENE = {
@@ -124,7 +125,7 @@ TOGETHER = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow) if n == "lag" else n for n in TOGETHER]
+    "name", [slow(n) if n == "lag" else n for n in TOGETHER]
 )
 def test_same_bits_in_every_tiling(name, tmp_path):
     detector = TOGETHER[name]
@@ -216,7 +217,7 @@ def test_smear_against_brute_force(towards, cleared, tmp_path, plain):
     assert is_near(frames(tmp_path / "run")["targets_e"][0], expected, rel=1e-5, off=1e-6)
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [3, slow(5)])
 def test_lag_against_frame_by_frame(count, tmp_path):
     """Reading frame after frame, of exposures long and short, keeping a share each time; also when
     only the last is redrawn."""

@@ -11,6 +11,7 @@ from pipeline.route.prepare import prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
+from tests.slow import slow
 
 SIDE = 400
 
@@ -50,7 +51,7 @@ PSFS = [{"kind": "gaussian", "sigma_px": 0.8}, {"kind": "airy", "wavelengths": 1
 @pytest.mark.parametrize(
     "psf",
     [pytest.param(PSFS[0], id="gaussian"),
-     pytest.param(PSFS[1], id="airy", marks=pytest.mark.slow)],
+     slow(PSFS[1], id="airy")],
 )  # fmt: skip
 def test_disc_of_many_pixels(psf, tmp_path):
     image, truth, report = drawn(tmp_path, 400.0, psf)

@@ -29,6 +29,7 @@ from pipeline.route.prepare import prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
+from tests.slow import slow
 
 IFOV_DEG, RA_DEG, DEC_DEG, SIDE = 2.0 / 3600.0, 80.0, 20.0, 320
 ROUND = {"kind": "gaussian", "sigma_px": 1.1}
@@ -153,7 +154,7 @@ def test_all_light_is_drawn_at_every_place(catalogue):
 
 @pytest.mark.parametrize(
     "psfs",
-    [pytest.param(CORNERS, id="gaussian"), pytest.param(TILTED, id="airy", marks=pytest.mark.slow)],
+    [pytest.param(CORNERS, id="gaussian"), slow(TILTED, id="airy")],
 )
 def test_same_bits_in_any_part(psfs, catalogue):
     made = planned(catalogue, field(psfs), 12.0)
@@ -174,7 +175,7 @@ def test_exact_drawing_and_tables_agree(catalogue):
     assert np.abs(one - other).max() <= plan.responses.budget_e + 1e-6 * one.max()
 
 
-@pytest.mark.parametrize("psfs", [CORNERS, pytest.param(TILTED, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("psfs", [CORNERS, slow(TILTED)])
 def test_products_have_small_errors_and_the_same_bits(psfs, catalogue, tmp_path, monkeypatch):
     """Stamps and crowds, tiles of two shapes; the reference of the check draws the field too."""
     images = []

@@ -23,6 +23,7 @@ from pipeline.route.prepare import plan_scene, prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
+from tests.slow import slow
 
 IFOV_DEG, SIDE, SIGMA, TIME_S, LINE_S = 2.0 / 3600.0, 300, 0.8, 2.0, 2e-3
 RA_DEG, DEC_DEG = 80.0, 20.0
@@ -97,7 +98,7 @@ def row_by_row(x: Any, y: Any, at_s: Any, rate_e_s: Any, delay_s: np.ndarray) ->
     return image
 
 
-@pytest.mark.parametrize("first", [pytest.param("low_rows", marks=pytest.mark.slow), "high_rows"])
+@pytest.mark.parametrize("first", [slow("low_rows"), "high_rows"])
 def test_stars_against_each_rows_own_exposure(first: str, catalogue: str, tmp_path: Path) -> None:
     """Streaks at an angle, shifted by a few pixels from row to row of the frame, and longer."""
     speed = 12.0

@@ -24,6 +24,7 @@ from pipeline.plan.pointing.geometry import camera_of, plan_geometry, star_paths
 from pipeline.route.prepare import plan_scene
 from pipeline.route.run import render
 from pipeline.spec.load import load_scene, parse_scene
+from tests.slow import slow
 
 EPOCH = "2019-07-20T09:00:00Z"
 SIMSIT_EPOCH = "2010-07-01T05:00:00Z"
@@ -397,7 +398,7 @@ def test_own_simsit_renders(published, tmp_path):
 
 @pytest.mark.parametrize(
     "name",
-    ["sidereal", *(pytest.param(n, marks=pytest.mark.slow) for n in ("target", "empty_target"))],
+    ["sidereal", *(slow(n) for n in ("target", "empty_target"))],
 )
 def test_simsit_renders(shared_data, name, tmp_path):
     """The same of SImSiT's own files."""

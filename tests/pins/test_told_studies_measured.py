@@ -79,6 +79,7 @@ def test_selftests(tmp_path: Path) -> None:
     pin("selftests", re.sub(r"within \S+|\S+ px (?=wide|narrow)", "", tell(rows, 5)), noise=1e-10)
 
 
+@pytest.mark.slow
 def test_ledger(stars: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from pipeline.route.prepare import prepare
     from pipeline.spec.load import parse_scene
@@ -138,6 +139,7 @@ def _tiny(name: str, quick: bool) -> Any:
     return ReportScene(name, "targets", scene(base), (1, 2))
 
 
+@pytest.mark.slow
 def test_scenes(stars: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     from pipeline.studies.scenes import child, level, scenes, study
 

@@ -25,6 +25,7 @@ from pipeline.plan.bodies.attitudes import View
 from pipeline.plan.bodies.bodies import earthshine_m2_sr
 from pipeline.spec.targets.body import Body
 from pipeline.spec.targets.mesh import MeshBody
+from tests.slow import slow
 
 EPOCH = parse_utc("2019-07-20T09:00:00Z")
 ALBEDO, ERROR = 0.3, 1e-3
@@ -80,7 +81,7 @@ def shape(**values: Any) -> Any:
 
 @pytest.mark.parametrize("height_m", [5e5, 3.6e7])
 @pytest.mark.parametrize(
-    "what", ["sphere", "plate", pytest.param("two-sided plate", marks=pytest.mark.slow)]
+    "what", ["sphere", "plate", slow("two-sided plate")]
 )
 def test_against_simple_shapes(what: str, height_m: float) -> None:
     at = view(height_m)

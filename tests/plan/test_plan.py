@@ -54,6 +54,7 @@ from pipeline.plan.stars.faint import peak_share
 from pipeline.plan.tiles import distance_px, plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
 from tests.plans import plan_from
+from tests.slow import slow
 
 Make = Callable[..., Scene]
 GAUSS = {"kind": "gaussian", "sigma_px": 0.8}
@@ -366,7 +367,7 @@ def test_without_stars_no_tables_are_told(scene: Make) -> None:
 
 
 @pytest.mark.parametrize(
-    ("q", "eps"), [(0.5, 0.3), (2.0, 0.0), pytest.param(1.0, 0.3, marks=pytest.mark.slow)]
+    ("q", "eps"), [(0.5, 0.3), (2.0, 0.0), slow(1.0, 0.3)]
 )
 def test_brightest_source_of_each_class_stays_within_the_budget(
     scene: Make, q: float, eps: float

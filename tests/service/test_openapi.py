@@ -28,6 +28,7 @@ from tests.service.drawn import (
     UPLOADS,
     scene_requests,
 )  # fmt: skip
+from tests.slow import slow
 
 STREAMS = ("/events",)
 
@@ -175,7 +176,7 @@ def odd_headers(target: Target, data: st.DataObject) -> None:
 
 
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("count", [150, pytest.param(5000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [60, slow(5000)])
 def test_no_answer_is_a_500(keep_server: Callable[..., Any], count: int) -> None:
     """Requests of every kind, of which most reach what they aim at; the log shows no fault."""
     server = keep_server(NIGHTGLASS_PLAN_S="1", NIGHTGLASS_PIXEL_FRAMES=str(1 << 20))

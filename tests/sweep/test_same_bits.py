@@ -18,6 +18,7 @@ from pipeline.sweep.dependence import NEUTRAL
 from pipeline.sweep.run import gather_course, point_scene, sweep
 from pipeline.sweep.stages import Stages, _read_key, maps_of, stages
 from pipeline.sweep.task import run_points
+from tests.slow import slow
 
 SPHERE = "targets.0.body.albedo"
 CASES = {
@@ -42,7 +43,7 @@ def rows_of(path, out, **options):
 
 
 @pytest.mark.parametrize(
-    "case", [pytest.param(c, marks=pytest.mark.slow) if c == "optics" else c for c in CASES]
+    "case", [slow(c) if c == "optics" else c for c in CASES]
 )
 def test_same_bits_as_each_point_alone(case, sweep_file, tmp_path):
     """Also by other schedulers, and by the cube that is kept of a point."""

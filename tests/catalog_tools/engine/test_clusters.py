@@ -30,6 +30,7 @@ from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.product import content_digest
 from tests.service.conftest import SCENE
+from tests.slow import slow
 from tests.slurm import slurm_of_one_node, stand_in_for_slurm
 from tests.tls_cluster import ROOT, make_certificates, tls_cluster_in
 
@@ -208,7 +209,8 @@ def slowly(shared: bytes, item: int) -> int:
     return item + len(shared)
 
 
-def test_work_goes_on_though_all_workers_die_three_times(own_cluster):
+@pytest.mark.parametrize("kills", [(4,), slow((4, 10, 16))])
+def test_work_goes_on_though_all_workers_die(own_cluster, kills):
     """What the tasks share is where any new worker finds it."""
     own_cluster.add_workers(2)
     with open_scheduler(own_cluster.address, None) as scheduler:
@@ -217,7 +219,7 @@ def test_work_goes_on_though_all_workers_die_three_times(own_cluster):
 
         def heard(kind):
             done.append(kind)
-            if len(done) in (4, 10, 16):
+            if len(done) in kills:
                 own_cluster.kill_workers()
                 own_cluster.add_workers(1)
 
@@ -508,7 +510,12 @@ def test_a_job_without_a_worker_is_told(with_slurm, monkeypatch, squeue, told):
 
 
 @pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+    ("number", "code"),
+    [
+        (signal.SIGINT, 130),
+        slow(signal.SIGTERM, 143),
+        slow(signal.SIGHUP, 129),
+    ],
 )
 def test_a_render_that_is_stopped_cancels_its_jobs(with_slurm, number, code):
     folder = with_slurm(sbatch=SUBMITS, squeue=PENDING)

@@ -25,6 +25,7 @@ from catalog_tools.fetch.layout import RELEASES
 from catalog_tools.fetch.ledger import folder_for
 from catalog_tools.fetch.patience import Patience, Unavailable
 from catalog_tools.fetch.remote import _validator, retry_after_s
+from tests.slow import slow
 
 
 def bring(archive, folder, patience, **options):
@@ -108,7 +109,7 @@ def in_a_process(archive, folder) -> subprocess.Popen:
     return subprocess.Popen(command, cwd=root, stderr=subprocess.PIPE, text=True)
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("how", [signal.SIGKILL, slow(signal.SIGINT)])
 def test_a_killed_process_is_resumed(archive, tmp_path, hasty, how):
     archive.does.block_s = 0.1  # what is left after the last share outlasts the signal's way
     for share in (0.2, 0.5, 0.7):

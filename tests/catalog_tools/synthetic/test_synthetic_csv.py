@@ -243,6 +243,7 @@ def test_limits_the_whole_of_dr2():
             assert here.first_row + here.pixels.size == plan.rows
 
 
+@pytest.mark.slow
 def test_same_bits_for_one_worker_and_after_a_kill(tmp_path, folder):
     other = tmp_path / "other"
     code = "from catalog_tools.synthetic.csv import *\n"

@@ -22,6 +22,7 @@ from pipeline.physics.psf.response import (
     stamp_at,
     window,
 )
+from tests.slow import slow
 
 KERNELS = [Kernel(w, b * w) for w in (4, 5, 6, 8, 12) for b in (1.6, 2.1, 2.6)]
 
@@ -99,7 +100,7 @@ def test_band_holds_all_of_a_positive_response() -> None:
 
 @pytest.mark.parametrize(
     ("sigma", "length"),
-    [(0.8, 0.0), (0.8, 300.0), (0.8, 3000.0), pytest.param(30.0, 300.0, marks=pytest.mark.slow)],
+    [(0.8, 0.0), (0.8, 300.0), (0.8, 3000.0), slow(30.0, 300.0)],
 )
 def test_memory_is_bounded_and_foretold(sigma: float, length: float) -> None:
     core, path = gaussian_core(sigma), line(length)

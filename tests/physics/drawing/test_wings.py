@@ -23,6 +23,7 @@ from pipeline.physics.drawing.wings import (
 from pipeline.physics.motion.streak import POINT, Path, transfer
 from pipeline.physics.psf.pupil import Airy, Blur
 from pipeline.physics.psf.response import compact_core, core_spectrum, stamp_at, window
+from tests.slow import slow
 
 REACH_PX = 700.0
 
@@ -182,7 +183,7 @@ def test_stated_wing_error_holds(q: float, eps: float, doubling: int) -> None:
 
 @pytest.mark.parametrize(
     ("q", "doublings"),
-    [(0.5, 1), (1.0, 2), *(pytest.param(*p, marks=pytest.mark.slow) for p in ((2.0, 2), (4.0, 1)))],
+    [(0.5, 1), (1.0, 2), *(slow(*p) for p in ((2.0, 2), (4.0, 1)))],
 )
 def test_wing_error_falls_fast_with_the_radius(q: float, doublings: int) -> None:
     """The plan counts on a factor of 4 for each doubling of the radius."""

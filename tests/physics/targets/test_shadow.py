@@ -21,6 +21,7 @@ from pipeline.physics.targets.shadow import (
     uncovered_fraction,
 )
 from pipeline.physics.vectors import separation, unit
+from tests.slow import slow
 
 SUN = np.array([ASTRONOMICAL_UNIT_M, 0.0, 0.0])
 
@@ -63,7 +64,7 @@ def test_same_as_the_plain_eclipse_without_options(radius) -> None:
 
 
 @pytest.mark.parametrize(
-    "latitude", [0.0, 1.2, *(pytest.param(a, marks=pytest.mark.slow) for a in (0.6, np.pi / 2))]
+    "latitude", [0.0, 1.2, *(slow(a) for a in (0.6, np.pi / 2))]
 )
 @pytest.mark.parametrize("radius", [6.9e6, 4.2164e7])
 def test_against_rays(radius, latitude) -> None:

@@ -18,6 +18,7 @@ from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.spec.load import parse_scene
 from pipeline.spec.pointing.observer import GroundObserver
 from tests.plan.bodies.test_bodies import SKY, TARGET
+from tests.slow import slow
 
 trimesh = pytest.importorskip("trimesh")
 WORK = {
@@ -103,7 +104,7 @@ def scene_of(folder: Path, law: dict[str, Any] | None, frames: int, **more: Any)
 
 
 @pytest.mark.parametrize(
-    "law", [pytest.param(w, marks=pytest.mark.slow) if w == "spin" else w for w in WORK]
+    "law", [slow(w) if w == "spin" else w for w in WORK]
 )
 def test_the_stated_error_holds(law: str, tmp_path: Path, monkeypatch: Any) -> None:
     """Frames from the table against the same frames worked out one by one."""
@@ -163,7 +164,7 @@ def test_few_frames_need_none(tmp_path: Path) -> None:
     assert decide_tables(scene) == []
 
 
-@pytest.mark.parametrize("frames", [8, pytest.param(900, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("frames", [8, slow(900)])
 def test_same_frame_in_any_window(frames: int, tmp_path: Path) -> None:
     """With and without a table, also in earthshine and where the body turns slowly."""
     slow = {"kind": "spin", "rate_deg_s": 0.1, "axis": [1, 0.2, 0.1]}

@@ -35,6 +35,7 @@ from pipeline.plan.sky.night import _moon_share, dimmed
 from pipeline.plan.sky.sky import _grid_told, facts_with_sky, plan_sky, sky_grid, sky_tile
 from pipeline.plan.stars.faint import faint_limit, limits_g_mag
 from pipeline.plan.tiles import Tile, plan_tiles
+from tests.slow import slow
 
 FIELD_DEG = (200.0, 60.0)
 WIDE = {
@@ -91,7 +92,7 @@ def whole(s, sky, frame=0):
     return sky_tile(sky, frame, Tile(0, 0, 0, 0, rows, columns))
 
 
-@pytest.mark.parametrize("band", [("box", 0.01), ("bessell-B", 0.05)])
+@pytest.mark.parametrize("band", [("box", 0.01), slow(("bessell-B", 0.05))])
 def test_total_light_stays_when_the_limit_moves(scene, mapped, band):
     """From 10 to 21: stars drawn and the sky together, within the stars' own scatter in the map's
     pixels and what the band's colour costs."""
