@@ -189,23 +189,29 @@ def of_rows(counts: Ints) -> Coverage:
     spacings of its rows, beyond its last one. Fewer rows than AROUND, left alone far from all
     others, count for nothing.
     """
-    total, finest = int(counts.sum()), (counts.size // 12).bit_length() // 2
+    pixels, finest = np.flatnonzero(counts), (counts.size // 12).bit_length() // 2
+    rows, left = counts[pixels], np.ones(pixels.size, bool)
+    total = int(rows.sum())
     if total < FEWEST_ROWS:
         return Coverage(f"{ROWS} ({total} are too few to tell)", known=False)
-    covered, left = np.zeros(counts.size, bool), counts > 0
+    covered = np.zeros(counts.size, bool)
     for order in range(finest, -1, -1):
-        wide = (-1, 1 << (2 * (finest - order)))  # a row of the map's pixels for each of the order
-        rows = counts.reshape(wide).sum(axis=1)
-        cells = np.flatnonzero(left.reshape(wide).any(axis=1))
-        dense = rows[cells] >= SEVERAL
-        sparse = cells[~dense]
-        around = neighbours_of(order, sparse)
-        enough = rows[sparse] + (rows[around] * (around >= 0)).sum(axis=0) >= AROUND
+        shift = 2 * (finest - order)
+        first = np.flatnonzero(np.diff(pixels >> shift, prepend=-1))
+        cell, held = pixels[first] >> shift, np.add.reduceat(rows, first)
+        wanted = np.logical_or.reduceat(left, first)
+        dense = wanted & (held >= SEVERAL)
+        sparse = np.flatnonzero(wanted & ~dense)
+        around = neighbours_of(order, cell[sparse])
+        everywhere = np.zeros(12 << (2 * order), np.int64)
+        everywhere[cell] = held
+        enough = held[sparse] + (everywhere[around] * (around >= 0)).sum(axis=0) >= AROUND
         together = around[:, enough].ravel()
-        done = np.concatenate([cells[dense], sparse[enough]])
-        left.reshape(wide)[done] = False
-        covered.reshape(wide)[np.concatenate([done, together[together >= 0]])] = True
-        if counts[left].sum() < AROUND:
+        dense[sparse[enough]] = True
+        left &= ~np.repeat(dense, np.diff(first, append=pixels.size))
+        new = np.concatenate([cell[dense], together[together >= 0]])
+        covered.reshape(-1, 1 << shift)[new] = True
+        if rows[left].sum() < AROUND:
             break
     return _of_map(covered, finest)
 

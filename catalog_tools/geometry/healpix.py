@@ -126,25 +126,28 @@ _BEYOND: dict[tuple[int, int, int], tuple[int, int, bool, bool]] = {
     (2, 0, -1): (1, 2, True, True),
     (2, -1, -1): (2, 2, False, True),
 }
+_CROSSED = np.full((4, 3, 3, 3), -1)  # the same by number; a step of -1 counts from the end
+for _way, _there in _BEYOND.items():
+    _CROSSED[(slice(None), *_way)] = _there
 
 
 def _stepped(order: int, face: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Pixels at places (x, y) that may lie one step outside of their base pixels; -1 for none."""
     side = 1 << order
     over_x, over_y = x >> order, y >> order  # -1, 0 or 1
-    pixel = (face << (2 * order)) | _even_bits(x & (side - 1)) | (_even_bits(y & (side - 1)) << 1)
+    px, py = x & (side - 1), y & (side - 1)
+    pixel = (face << (2 * order)) | _even_bits(px) | (_even_bits(py) << 1)
     outside = np.flatnonzero((over_x | over_y) != 0)
-    pixel[outside] = -1
-    way = (face[outside] // 4, over_x[outside], over_y[outside])
-    for (row, dx, dy), (east, beyond, exchanged, turned) in _BEYOND.items():
-        some = outside[(way[0] == row) & (way[1] == dx) & (way[2] == dy)]
-        px, py = x[some] & (side - 1), y[some] & (side - 1)
-        if turned:
-            px, py = (px if dx == 0 else side - 1 - px), (py if dy == 0 else side - 1 - py)
-        if exchanged:
-            px, py = py, px
-        there = 4 * beyond + ((face[some] + east) & 3)
-        pixel[some] = (there << (2 * order)) | _even_bits(px) | (_even_bits(py) << 1)
+    if not outside.size:
+        return pixel
+    face, px, py, dx, dy = (v[outside] for v in (face, px, py, over_x, over_y))
+    east, beyond, exchanged, turned = _CROSSED[:, face // 4, dx, dy]
+    px = np.where((turned > 0) & (dx != 0), side - 1 - px, px)
+    py = np.where((turned > 0) & (dy != 0), side - 1 - py, py)
+    px, py = np.where(exchanged > 0, py, px), np.where(exchanged > 0, px, py)
+    there = 4 * beyond + ((face + east) & 3)
+    far = (there << (2 * order)) | _even_bits(px) | (_even_bits(py) << 1)
+    pixel[outside] = np.where(beyond < 0, -1, far)
     return pixel
 
 
