@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.physics.constants import ASTRONOMICAL_UNIT_M, DAY_S
+from pipeline.physics.positions.remembered import Remembered
 from pipeline.physics.positions.times import Instants
 
 Array = NDArray[np.float64]
@@ -34,19 +35,29 @@ def earth_and_sun(tt1: ArrayLike, tt2: ArrayLike) -> EarthState:
     Largest errors 13.4 km and 4.9 mm/s barycentric (rms 4.6 km, 1.4 mm/s): 1e-7 of the parallax,
     0.003 mas of aberration. TT stands for TDB (under 2 ms: 60 m of the Earth's way).
     """
-    heliocentric, barycentric, _ = era.epv00(np.atleast_1d(tt1), np.atleast_1d(tt2))
+    position, velocity, from_sun = np.moveaxis(_earth(tt1, tt2), 1, 0)
     return EarthState(
-        position_m=barycentric["p"] * ASTRONOMICAL_UNIT_M,
-        velocity_m_s=barycentric["v"] * _AU_PER_DAY_M_S,
-        sun_from_earth_m=-heliocentric["p"] * ASTRONOMICAL_UNIT_M,
+        position_m=position * ASTRONOMICAL_UNIT_M,
+        velocity_m_s=velocity * _AU_PER_DAY_M_S,
+        sun_from_earth_m=-from_sun * ASTRONOMICAL_UNIT_M,
     )
+
+
+@Remembered
+def _earth(tt1: Array, tt2: Array) -> Array:
+    """Barycentric position and velocity, heliocentric position (n, 3, 3) [au, day] of epv00."""
+    heliocentric, barycentric, _ = era.epv00(tt1, tt2)
+    return np.stack([barycentric["p"], barycentric["v"], heliocentric["p"]], axis=1)
+
+
+_gcrs_to_cirs = Remembered(era.c2i06a)  # precession and nutation, IAU 2006/2000A
 
 
 def gcrs_to_itrs(instants: Instants, xp_rad: float = 0.0, yp_rad: float = 0.0) -> Array:
     """Matrices (n, 3, 3) from GCRS to ITRS: IAU 2006/2000A, CIO based (ERFA c2t06a)."""
-    return era.c2t06a(
-        instants.tt1, instants.tt2, instants.ut11, instants.ut12, float(xp_rad), float(yp_rad)
-    )
+    turn = era.era00(instants.ut11, instants.ut12)
+    pole = era.pom00(float(xp_rad), float(yp_rad), era.sp00(instants.tt1, instants.tt2))
+    return era.c2tcio(_gcrs_to_cirs(instants.tt1, instants.tt2), turn, pole)
 
 
 def site_state(
@@ -67,7 +78,7 @@ def site_state(
     era_rad = era.era00(instants.ut11, instants.ut12)
     site = [np.full(n, float(v)) for v in (longitude_rad, latitude_rad, height_m, xp_rad, yp_rad)]
     pv = era.pvtob(*site, sp, era_rad)
-    from_cirs = np.swapaxes(era.c2i06a(instants.tt1, instants.tt2), -1, -2)
+    from_cirs = np.swapaxes(_gcrs_to_cirs(instants.tt1, instants.tt2), -1, -2)
     return _apply(from_cirs, pv["p"]), _apply(from_cirs, pv["v"])
 
 

@@ -13,7 +13,6 @@ from scipy.integrate import DOP853, DenseOutput
 
 from pipeline.errors import BadInput
 from pipeline.physics.constants import ASTRONOMICAL_UNIT_M
-from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.orbit_forces import (
     REENTRY_HEIGHT_M,
     Forces,
@@ -84,7 +83,7 @@ class Trajectory:
         tt1, tt2 = self._tt[0], self._tt[1] + t / _DAY_S
         sun = none
         if f.sun or f.radiation_m2_kg > 0.0:
-            sun = np.ascontiguousarray(earth_and_sun(tt1, tt2).sun_from_earth_m[0])
+            sun = np.asarray(-era.epv00(tt1, tt2)[0]["p"]) * ASTRONOMICAL_UNIT_M
         moon = np.asarray(era.moon98(tt1, tt2)["p"]) * ASTRONOMICAL_UNIT_M if f.moon else none
         return sun, moon
 
