@@ -17,7 +17,7 @@ from pipeline.plan.needs import frame_seconds
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.resolve.stars import shards_of
-from pipeline.route.prepare import Prepared, forecast
+from pipeline.route.prepare import Prepared
 from pipeline.route.shares import WHOLE, Share
 from pipeline.store.product import Begun, truth_kinds
 
@@ -84,7 +84,7 @@ def _tiles_a_task(prepared: Prepared, scheduler: Scheduler, tiles: int) -> int:
     if tiles < 2 * scheduler.workers:
         return 1
     plan = prepared.plan
-    tile_s = frame_seconds(plan, forecast(prepared)) / len(plan.tiles)
+    tile_s = frame_seconds(plan, prepared.forecast) / len(plan.tiles)
     tile_s += TILE_S + CHUNK_S * len(prepared.plan.scene.output.layers)
     window = max(TASKS_PER_WINDOW, len(plan.tiles))  # at most so many are sent at a time
     return tiles_a_bundle(tile_s, scheduler.least_task_s, min(tiles, window), scheduler.workers)

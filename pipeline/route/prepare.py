@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import cached_property
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -54,6 +55,19 @@ class Prepared:
     def catalogue_digest(self) -> str | None:
         """Of all catalogues that it looked into; None without any."""
         return "+".join(c.digest for c in self.catalogues) or None
+
+    @cached_property
+    def forecast(self) -> StarForecast | None:
+        """What is read of the catalogues for the scene's frames; None without stars."""
+        plan = self.plan
+        if plan.scene.stars is None:
+            return None
+        frames = np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, 32)).astype(np.int64))
+        g = plan_geometry(plan.scene, frames, plan.dut1_s)
+        leaves = [shard.leaf for shard in shards_of(plan, self.catalogues, g)]
+        groups = [group for leaf in leaves for group in leaf.row_groups]
+        rows, size = sum(g.rows for g in groups), sum(g.bytes for g in groups)
+        return StarForecast(len(leaves), len(groups), rows, size, plan.stars_per_frame)
 
     def inputs(self, writer: CubeWriter, plan: Plan | None = None) -> Inputs:
         """What tasks need; plan : in place of its own."""
@@ -115,7 +129,7 @@ def check_cost(scene: Scene, summary: JsonObject, most_cpu_s: float | None) -> N
 
 def summary_of(prepared: Prepared) -> JsonObject:
     facts = catalogue_facts_of(prepared)
-    return plan_dict(prepared.plan, forecast(prepared), facts, prepared.spent)
+    return plan_dict(prepared.plan, prepared.forecast, facts, prepared.spent)
 
 
 def check_room(prepared: Prepared, most_mb: float | None = None, processes: int = 1) -> None:
@@ -123,21 +137,8 @@ def check_room(prepared: Prepared, most_mb: float | None = None, processes: int 
     processes; most_mb : than so much, whatever is free."""
     if most_mb is None:
         most_mb = free_mb() / processes
-    check_memory(prepared.plan, forecast(prepared), prepared.spent, most_mb)
+    check_memory(prepared.plan, prepared.forecast, prepared.spent, most_mb)
 
 
 def catalogue_facts_of(prepared: Prepared) -> list[JsonObject]:
     return catalogue_facts(prepared.catalogues, prepared.left_out)
-
-
-def forecast(prepared: Prepared) -> StarForecast | None:
-    """What is read of the catalogues for a scene's frames; None without stars."""
-    plan, catalogues = prepared.plan, prepared.catalogues
-    if plan.scene.stars is None:
-        return None
-    frames = np.unique(np.linspace(0, plan.frames - 1, min(plan.frames, 32)).astype(np.int64))
-    g = plan_geometry(plan.scene, frames, plan.dut1_s)
-    leaves = [shard.leaf for shard in shards_of(plan, catalogues, g)]
-    groups = [group for leaf in leaves for group in leaf.row_groups]
-    rows, size = sum(g.rows for g in groups), sum(g.bytes for g in groups)
-    return StarForecast(len(leaves), len(groups), rows, size, plan.stars_per_frame)

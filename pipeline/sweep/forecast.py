@@ -12,7 +12,6 @@ from catalog_tools.documents import JsonObject
 from pipeline.execute.tile import LIGHTS
 from pipeline.plan.cost import CHUNK_S, NOISE_S_PER_PIXEL, START_S, TILE_S
 from pipeline.plan.needs import predict
-from pipeline.route.prepare import forecast as star_forecast
 from pipeline.spec.load import parse_scene
 from pipeline.spec.sweep import Grid, axis_length
 from pipeline.sweep.dependence import AFTER_LIGHT, light_is_shared
@@ -41,7 +40,7 @@ def forecast_course(course: Course) -> JsonObject:
     plan, counts = bases[0].plan, _counts(course, bases[0], shared)
     frames, pixels = plan.frames, math.prod(plan.scene.sensor.shape)
     tiles = frames * len(plan.tiles)
-    needs = [predict(b.plan, star_forecast(b.prepared), b.prepared.spent) for b in bases]
+    needs = [predict(b.plan, b.prepared.forecast, b.prepared.spent) for b in bases]
     bare_s = frames * pixels * NOISE_S_PER_PIXEL + tiles * (TILE_S + 2 * CHUNK_S) + START_S
     light_s = max(0.0, sum(n["cpu_s"] for n in needs) / len(needs) - bare_s - plan_s)
     point_s = frames * pixels * NOISE_S_PER_PIXEL
