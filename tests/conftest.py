@@ -24,7 +24,7 @@ for name in {name for name in os.environ if name.startswith("NIGHTGLASS_")}.diff
 
 # The first call of a function compiles it: no deadline. The same examples in every run, so that a
 # change is judged by its own tests; `make test-slow` looks for new ones.
-settings.register_profile("steady", deadline=None, derandomize=True)
+settings.register_profile("steady", deadline=None, derandomize=True, max_examples=40)
 settings.register_profile("search", deadline=None)
 settings.load_profile("steady")
 refusals.listen()

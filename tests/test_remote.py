@@ -20,6 +20,7 @@ from pipeline.route.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.store.markers import place_of
 from tests.object_store import SECRET, needs_s3, s3_bucket
+from tests.slow import slow
 
 pytestmark = needs_s3
 HERE = Options("synchronous")
@@ -132,7 +133,7 @@ def test_a_join_that_lacks_a_chunk_takes_the_seal_away(made):
     assert check(url).whole
 
 
-@pytest.mark.parametrize("seal", ["cube.zarr/zarr.json", "_COMPLETE"])
+@pytest.mark.parametrize("seal", [slow("cube.zarr/zarr.json"), "_COMPLETE"])
 def test_a_product_cut_off_while_it_is_sealed_is_not_whole(bucket, seal, monkeypatch):
     """The mark of a whole product comes after the cube's group: one without the other opens."""
     from catalog_tools.storage.objects import Objects

@@ -139,13 +139,6 @@ def test_ctrl_c_while_processes_start_is_heard_once_they_can_be_closed(monkeypat
     assert made[0].status == Status.closed
 
 
-def test_processes_listen_to_this_machine_alone():
-    with open_scheduler("processes", 1) as scheduler:
-        told = scheduler.client.scheduler_info()
-    addresses = [told["address"], *told["workers"]]
-    assert all(address.startswith("tcp://127.0.0.1:") for address in addresses)
-
-
 @pytest.mark.parametrize("kind", ["synchronous", "threads"])
 def test_each_takes_items_only_a_few_ahead(kind):
     taken = []
