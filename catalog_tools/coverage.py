@@ -197,19 +197,19 @@ def of_rows(counts: Ints) -> Coverage:
     covered = np.zeros(counts.size, bool)
     for order in range(finest, -1, -1):
         shift = 2 * (finest - order)
-        first = np.flatnonzero(np.diff(pixels >> shift, prepend=-1))
+        first = np.flatnonzero(np.diff(pixels >> shift, prepend=-1))  # of each cell's pixels
         cell, held = pixels[first] >> shift, np.add.reduceat(rows, first)
         wanted = np.logical_or.reduceat(left, first)
-        dense = wanted & (held >= SEVERAL)
-        sparse = np.flatnonzero(wanted & ~dense)
+        done = wanted & (held >= SEVERAL)
+        sparse = np.flatnonzero(wanted & ~done)
         around = neighbours_of(order, cell[sparse])
         everywhere = np.zeros(12 << (2 * order), np.int64)
         everywhere[cell] = held
         enough = held[sparse] + (everywhere[around] * (around >= 0)).sum(axis=0) >= AROUND
         together = around[:, enough].ravel()
-        dense[sparse[enough]] = True
-        left &= ~np.repeat(dense, np.diff(first, append=pixels.size))
-        new = np.concatenate([cell[dense], together[together >= 0]])
+        done[sparse[enough]] = True
+        left &= ~np.repeat(done, np.diff(first, append=pixels.size))
+        new = np.concatenate([cell[done], together[together >= 0]])
         covered.reshape(-1, 1 << shift)[new] = True
         if rows[left].sum() < AROUND:
             break
