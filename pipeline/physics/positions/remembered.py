@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 Moment = tuple[float, float]
 
-MOST = 8192  # moments that are remembered
+MOST = 32_768  # moments that are remembered, in some 10 MB
 
 
 class Remembered:
