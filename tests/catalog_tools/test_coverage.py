@@ -142,10 +142,18 @@ def test_ranges_that_overlap_are_joined():
 @pytest.mark.parametrize("broken", [
     {"order": 30}, {"ranges": [[5, 3]]}, {"ranges": [[0, 13]]}, {"cones": [[0, 91, 1, None]]},
     {"cones": [[0]]}, {"ranges": "x"}, {"source": None, "cones": None},
+    {"cones": [[0, 0, 180.1, None]]}, {"cones": [[0, 0, 0, None]]},
 ])  # fmt: skip
 def test_what_is_no_coverage_is_refused(broken):
     with pytest.raises(ValueError):
         from_json(all_sky("x").to_json() | broken)
+
+
+def test_cones_of_half_the_sky_and_more_are_read_back():
+    cones = [[10.0, -20.0, 120.0, 16.0], [200.0, 90.0, 180.0, 12.5]]
+    again = from_json(all_sky("x", 5.0, cones).to_json())
+    assert again.cones.tolist() == cones
+    assert again.faintest_g_mag == 5.0
 
 
 def test_the_files_of_a_whole_release_leave_no_gap():

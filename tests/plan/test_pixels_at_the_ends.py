@@ -73,6 +73,15 @@ def test_noise_below_zero_is_told_with_its_size() -> None:
     assert "the mean is 100 e- too high" in all_of_them
 
 
+def test_noise_below_zero_is_judged_by_the_shortest_exposure() -> None:
+    """Sky lifts the long one above 0 DN."""
+    scene = copy.deepcopy(SCENE) | {"background": {"uniform_e_per_s": 5.0}}
+    scene["sensor"] |= {"bias_dn": 0}
+    scene["dwells"] = [{"frames": 1, "integration_s": time_s} for time_s in (20.0, 0.5)]
+    (told,) = (w for w in prepare(parse_scene(scene)).plan.warnings if "0 DN" in w)
+    assert "of the pixels without a source lie below 0 DN in frame 1" in told
+
+
 @pytest.mark.parametrize(
     ("mean_e", "read_e", "zero_e"),
     [(0, 6, 0), (2.5, 6, 0), (1, 0, 0), (3, 0.5, 2), (500, 6, 470), (2e4, 6, 2e4), (2.5, 6, -750)],
@@ -140,6 +149,15 @@ def test_a_target_that_fills_pixels_is_told_as_it_is_drawn(
     times = float(warning.split("would hold ")[1].split(" times")[0])
     assert times == pytest.approx(7.0, rel=0.4)  # of one phase of the response, of an even disc
     assert told(peak_e * 1.7) == []
+
+
+def test_full_pixels_are_told_beside_other_warnings() -> None:
+    scene = ball(1e3, 4.0, True)
+    sensor = scene.sensor.model_copy(update={"bias_dn": 0.0})
+    dark = scene.background.model_copy(update={"uniform_e_per_s": 0.1})
+    told = prepare(scene.model_copy(update={"sensor": sensor, "background": dark})).plan.warnings
+    assert [w for w in told if "fills pixels" in w]
+    assert [w for w in told if "below 0 DN" in w]
 
 
 @pytest.mark.parametrize("bias_dn", [65535.0, 66000.0])
