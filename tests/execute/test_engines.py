@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from pipeline.arrays import FrameStars, Geometry
 from pipeline.execute import tables
 from pipeline.execute.blocks import LightBlock, render_block
-from pipeline.execute.check import _nearest, _points, reference, summary
+from pipeline.execute.check import _expected, _nearest, _points, reference, summary
 from pipeline.execute.light import draw_along, draw_stars
 from pipeline.execute.tables import ContentCache
 from pipeline.physics.drawing.wings import wing_grid
@@ -26,6 +26,7 @@ from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.psf.response import Core, compact_core
 from pipeline.physics.radiometry import box
+from pipeline.plan.checks import CheckCell
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
@@ -370,6 +371,17 @@ def test_points_and_distances_along_a_path():
         many = np.hypot(*(np.stack(_points(path, 1e-3)[:2]).T - place).T)
         found = _nearest(offsets, np.array(place)[:, None, None])
         assert found[0] == pytest.approx(many.min(), abs=2e-3)
+
+
+def test_the_most_is_expected_around_the_brightest_source():
+    """Of a star far from the diagonal of a cell beside the first, in the cell's own pixels."""
+    plan = plan_of({"kind": "gaussian", "sigma_px": 0.8}, 0.0, 0.0, side=400)
+    stars = field(np.array([356.0, 300.0]), np.array([30.0, 90.0]), np.array([1e5, 1e3]))
+    cell, noise_e = CheckCell(0, 0, 1), np.ones((256, 144))
+    found = _expected(plan, geometry_of(plan), cell, [stars], noise_e)
+    most = np.argwhere(found == found.max())  # alike all over its core
+    assert most.mean(axis=0) == pytest.approx([30.0, 100.0])
+    assert np.abs(most - [30, 100]).max() < 20
 
 
 def test_summary_of_the_windows():

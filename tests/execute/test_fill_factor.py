@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from scipy.special import erf
 
@@ -13,6 +14,7 @@ from pipeline.execute import light as light_module
 from pipeline.execute.truth import collected_e
 from pipeline.physics.drawing import stamps
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
+from pipeline.route.truths import _bounds
 from tests.execute.test_engines import WHOLE, field, geometry_of, plan_of
 from tests.execute.test_guards import render
 
@@ -62,6 +64,19 @@ def test_electrons_of_the_truth_are_the_mean_over_places():
     phases = (np.arange(16) + 0.5) / 16.0
     mean = np.mean([collected(p, 0.5, 0.5) for p in phases]) ** 2
     assert collected_e(plan, np.array([LIGHT_E]))[0] == pytest.approx(LIGHT_E * mean, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["stars", "targets"])
+@pytest.mark.parametrize("fill", [1.0, 0.5])
+def test_bounds_are_of_the_light_that_falls_not_of_what_truth_says_is_collected(fill, kind):
+    """The brightest source is as bright at every fill factor."""
+    plan = plan_of({"kind": "gaussian", "sigma_px": 0.8}, 0.0, 0.0, fill=fill)
+    light_e = collected_e(plan, np.array([0.1 * LIGHT_E, LIGHT_E]))
+    places = ("x_px", "y_px", "x_start_px", "y_start_px", "x_end_px", "y_end_px")
+    columns = {name: np.array([60.0, 70.0]) for name in places}
+    columns |= {"frame": np.zeros(2, int), "electrons": light_e}
+    columns |= {"radius_px": np.zeros(2), "extended": np.zeros(2, bool)}
+    assert _bounds(plan, kind, pa.table(columns)).brightest_e == pytest.approx(LIGHT_E, rel=1e-6)
 
 
 @pytest.mark.parametrize("factor", [0.6, 2.1])

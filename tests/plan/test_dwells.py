@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput
 from pipeline.physics.colour import ColourFit
 from pipeline.physics.vectors import separation
@@ -29,9 +31,10 @@ from pipeline.plan.timing import (
     longest_s,
 )
 from pipeline.route.finish import _empty_noise
+from pipeline.route.prepare import prepare
 from pipeline.spec.load import InvalidScene
 from pipeline.spec.scene import Scene
-from tests.plan.test_plan import facts_of
+from tests.plan.test_plan import GAUSS, facts_of
 from tests.plans import plan_from
 
 Make = Callable[..., Scene]
@@ -262,3 +265,17 @@ def test_the_brightest_source_is_that_of_the_longest_exposure(scene: Make) -> No
     assert found[1] == pytest.approx(np.multiply(4.0, found[2]), rel=1e-4)
     area_m2 = np.pi / 4.0 * 0.4**2 * (1.0 - 0.3**2)
     assert found[1][0] == pytest.approx(1e10 * 10.0**-2.0 * area_m2 * 4.0, rel=1e-9)
+
+
+def test_stars_move_as_far_as_in_the_fastest_dwell(scene: Make, tmp_path: Path) -> None:
+    """Beside a dwell that stands still as alone."""
+    (tmp_path / "stars.csv").write_text("source_id,ra,dec,phot_g_mean_mag\n1,40.0,25.0,12.0\n")
+    ingest([tmp_path / "stars.csv"], tmp_path / "sky", form="gaia_dr2", workers=1)
+    more = {"stars.catalogue": str(tmp_path / "sky"), "sensor.psf": GAUSS,
+            "sensor.shape": [64, 64]}  # fmt: skip
+    fast = {"mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0,
+            "rate_ra_arcsec_s": 0.0, "rate_dec_arcsec_s": 100.0}  # fmt: skip
+    dwells = [{"frames": 1}, {"frames": 1, "pointing": fast}]
+    alone, both = (prepare(scene({"dwells": some} | more)) for some in (dwells[1:], dwells))
+    assert alone.spent.excursion_px > 0.0
+    assert both.spent.excursion_px == pytest.approx(alone.spent.excursion_px)

@@ -28,8 +28,11 @@ from pipeline.physics.drawing.wings import (
 from pipeline.physics.positions.apparent import (
     aberrate,
     proper_to_astrometric,
+    unaberrate,
     unaberrated_caps,
 )
+from pipeline.physics.positions.focal_plane import deproject
+from pipeline.physics.positions.refraction import unrefract
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.psf.response import (
     compact_core,
@@ -48,6 +51,7 @@ from pipeline.plan.facts import Facts, gather_facts
 from pipeline.plan.needs import StarForecast, drawing_s, frame_seconds, predict
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry
+from pipeline.plan.pointing.star_paths import field_points
 from pipeline.plan.response.decisions import core_ends
 from pipeline.plan.response.responses import ResponsePlan, cut_share, plan_responses
 from pipeline.plan.stars.faint import peak_share
@@ -273,6 +277,23 @@ def test_field_cone_holds_what_drifts_into_the_frame(scene: Make) -> None:
         for x, y in ((-384, -256), (-384, 256), (384, -256), (384, 256)):
             corner = unit(axes[2] + 1e-5 * (x * axes[0] + y * axes[1]))
             assert separation(centres, corner)[0] < radii[0]
+
+
+def test_field_cone_holds_the_frame_behind_air(scene: Make) -> None:
+    """Low in the sky, where refraction lifts stars by minutes of arc: places of the corners."""
+    site = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3,
+            "atmosphere": {"refraction": True}}  # fmt: skip
+    at = {"mode": "local", "azimuth_deg": 70.0, "elevation_deg": 16.0}
+    field = {"sensor.shape": [1024, 1024], "sensor.focal_length_m": 1e-5 / ARCSEC_RAD,
+             "sensor.psf": GAUSS}  # fmt: skip
+    plan = plan_of(scene({"observer": site, "pointing": at} | field))
+    g = plan_geometry(plan.scene, np.arange(1), 0.0)
+    centres, radii = field_cones(plan, g)
+    seen = deproject(plan.camera, g.attitude[0, g.middle], *field_points(plan.camera))
+    stars = unrefract(seen, g.air_at(0, g.middle))
+    places = unaberrate(stars, g.observer_m_s[0, g.middle] / SPEED_OF_LIGHT_M_S)
+    assert separation(seen, stars).min() > 100.0 * ARCSEC_RAD
+    assert (separation(places, centres[0]) < radii[0]).all()
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

@@ -36,6 +36,7 @@ from pipeline.plan.response.sources import (
     targets_known,
 )
 from pipeline.plan.response.streaks import POINTS, SHOWN, SLACK, StreakPlan, _light_from
+from pipeline.resolve.resolve import resolve
 from pipeline.route.prepare import prepare
 from pipeline.route.run import render
 from pipeline.route.truths import _of_targets
@@ -266,6 +267,16 @@ def test_targets_whose_light_does_not_reach_the_frame_do_not_count() -> None:
     assert found.brightest_e == 10.0
     curvature = point_curvature(plan.facts.blur)
     assert found.errors_e["targets.point_sources"] == pytest.approx(curvature * 10.0 * 0.01)
+
+
+def test_streaking_targets_stand_in_the_middle_of_their_paths() -> None:
+    """Half way between their first and last places, the fastest 3 px and more from either."""
+    found = resolve(parse_scene(many()))
+    g, known = found.geometry, found.targets
+    assert known is not None
+    for place, at in ((known.x_px, g.target_x_px[:, 0]), (known.y_px, g.target_y_px[:, 0])):
+        assert place == pytest.approx(0.5 * (at[:, 0] + at[:, -1]), abs=0.01)
+        assert np.abs(place - at[:, 0]).max() > 3.0
 
 
 def test_wings_of_bright_targets_come_from_far_beside_the_frame() -> None:

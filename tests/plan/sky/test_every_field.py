@@ -138,3 +138,13 @@ def test_even_turns_are_followed_step_by_step() -> None:
     assert np.diff(frames[::2]).max() <= 140  # 100 s to turn by a degree, and a step of 30 s
     still = parse_scene(scene(exposure=exposure | {"frames": 100_000, "cadence_s": 1.0}))
     assert len(turning_frames(still, 0.0)) <= 8  # the Earth turns around the far observer
+
+
+def test_a_turn_that_quickens_is_followed_in_ever_shorter_steps() -> None:
+    """From rest at 0.5 arcsec/s2: 500 arcsec/s in the end, a degree in 7 s."""
+    quickens = {"mode": "rate", "boresight_ra_deg": 350.0, "boresight_dec_deg": -4.0,
+                "rate_ra_arcsec_s": 0.0, "rate_dec_arcsec_s": 0.0,
+                "acceleration_dec_arcsec_s2": 0.5}  # fmt: skip
+    exposure = {"integration_s": 1.0, "frames": 1000, "cadence_s": 1.0}
+    frames = turning_frames(parse_scene(scene(pointing=quickens, exposure=exposure)), 0.0)
+    assert np.diff(frames)[-12:].max() <= 8
