@@ -22,6 +22,8 @@ from pipeline.plan.pointing.geometry import (
     sampled_frames,
     star_paths,
 )
+from pipeline.plan.pointing.motion_runs import mode_states
+from pipeline.plan.timing import frame_count, frame_times
 from pipeline.spec.scene import Scene
 
 Make = Callable[..., Scene]
@@ -232,6 +234,23 @@ def test_same_random_motion_in_every_window(scene: Make) -> None:
     seeded = scene({"pointing": SIDEREAL | {"attitude": RANDOM}, "seed": 6})
     other = plan_geometry(seeded, np.array([0]), 0.0).frame_slice(0)
     assert not np.array_equal(other.attitude, whole.frame_slice(0).attitude)
+
+
+def test_modes_that_are_alike_move_each_by_itself(
+    scene: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also between the ends of an exposure, here at rest."""
+    mode = RANDOM["modes"][0]
+    s = scene({"pointing": SIDEREAL | {"attitude": {"modes": [mode, mode]}}, "stars": None})
+    at_rest = np.zeros((frame_count(s), 2, 2))
+    monkeypatch.setattr("pipeline.plan.pointing.motion_runs._ends", lambda *_: at_rest)
+    frames = np.arange(2)
+    modes = s.pointing.attitude.modes
+    one, other = (
+        mode_states(s, modes[i], i, frames, frame_times(s, frames)[1], 65)[..., 0] for i in (0, 1)
+    )
+    assert one.std() > 0.0
+    assert abs(np.corrcoef(one.ravel(), other.ravel())[0, 1]) < 0.9
 
 
 def test_random_motion_has_the_size_asked_for(scene: Make) -> None:

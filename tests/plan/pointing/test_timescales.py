@@ -15,7 +15,7 @@ from scipy.integrate import quad
 from pipeline.inputs.targets.mesh_surfaces import make_surface
 from pipeline.inputs.targets.meshes import gather_meshes
 from pipeline.plan.bodies import changes
-from pipeline.plan.bodies.changes import has_means, looks_asked, most_looks
+from pipeline.plan.bodies.changes import apart_s, has_means, looks_asked, most_looks
 from pipeline.plan.bodies.changes import mean_light as mean_light_around
 from pipeline.plan.pointing.geometry import _geometry, plan_geometry
 from pipeline.plan.pointing.timescales import hurried_remarks, light_off, looks
@@ -183,6 +183,14 @@ def _quaternion(m: np.ndarray) -> list[float]:
 def asked(made: Scene, frames: np.ndarray, near: bool = True) -> np.ndarray:
     g = _geometry(made, frames, 9, 0.0)
     return looks(made, g, np.full((1, len(frames)), near))
+
+
+def test_a_row_in_an_exposure_counts_on_both_sides() -> None:
+    """What changes before it and after it; exposures between two rows see neither of them."""
+    times = np.array([0.0, 10.0, 10.1, 20.0, 20.3, 40.0])
+    start, end = np.array([10.05, 19.0, 1.0, 25.0]), np.array([15.0, 21.0, 9.0, 39.0])
+    assert apart_s(times, None, start, end) == pytest.approx([0.1, 0.3, np.inf, np.inf])
+    assert apart_s(times, 40.0, start, end) == pytest.approx(4 * [0.1])
 
 
 def test_rows_and_turns_are_looked_at_where_they_are() -> None:
