@@ -23,6 +23,7 @@ test: $(VENV)/.tests
 
 test-slow: $(VENV)/.tests
 	$(BIN)/pytest -m slow --hypothesis-profile search
+	$(BIN)/pytest -m "hypothesis and not slow" --hypothesis-profile search
 
 lint: $(VENV)/.tests
 	$(BIN)/ruff check .

@@ -194,7 +194,7 @@ def test_work_goes_on_though_what_forks_the_engine_dies(
     cancelled ends all the same."""
     server = make_server()
     assert server.forks() == []  # no order, no process
-    long, longer = (scene | {"exposure": scene["exposure"] | {"frames": n}} for n in (60, 200))
+    long, longer = (scene | {"exposure": scene["exposure"] | {"frames": n}} for n in (120, 200))
     first, second = server.submit(long), server.submit(longer)
     server.until(first, lambda found: (found["tiles_done"] or 0) >= 2)
     [fork], [worker] = server.forks(), server.workers()

@@ -13,7 +13,6 @@ import pytest
 SCRIPT = Path(__file__).resolve().parents[2] / "examples" / "walkthrough.py"
 
 
-@pytest.mark.slow
 def test_walkthrough(tmp_path: Path) -> None:
     if shutil.which("curl") is None:
         pytest.skip("no curl here")

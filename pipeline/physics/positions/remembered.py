@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 Moment = tuple[float, float]
 
-MOST = 32_768  # moments that are remembered, in some 10 MB
+MOST = 32_768  # moments of a function that are remembered, in some 10 MB
 
 
 class Remembered:
@@ -30,7 +30,7 @@ class Remembered:
     def __call__(self, part1: ArrayLike, part2: ArrayLike) -> Array:
         """Values (n, ...) at the dates part1 + part2, (n,) or one for all."""
         one, two = np.broadcast_arrays(np.atleast_1d(part1), np.atleast_1d(part2))
-        if one.size > MOST:
+        if not 0 < one.size <= MOST:
             return self._function(one, two)
         moments = list(zip(one.tolist(), two.tolist(), strict=True))
         index, values = self._known
@@ -48,8 +48,8 @@ class Remembered:
             if len(index) + len(new) > MOST:
                 index, new = {}, dict.fromkeys(moments)
             found = self._function(*np.array(list(new)).T)
-            if not index:
-                values = np.empty((MOST, *found.shape[1:]))
+            if not index:  # a new one with its values: threads may hold those of before
+                index, values = {}, np.empty((MOST, *found.shape[1:]))
             first = len(index)
             values[first : first + len(new)] = found
             index.update(zip(new, range(first, first + len(new)), strict=True))

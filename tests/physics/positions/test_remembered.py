@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.physics.constants import ASTRONOMICAL_UNIT_M
+from pipeline.physics.constants import ASTRONOMICAL_UNIT_M, DAY_S
 from pipeline.physics.positions import remembered
-from pipeline.physics.positions.earth import earth_and_sun, gcrs_to_itrs
+from pipeline.physics.positions.earth import earth_and_sun, gcrs_to_itrs, site_state
 from pipeline.physics.positions.remembered import Remembered
 from pipeline.physics.positions.times import instants
 
@@ -54,16 +54,41 @@ def test_threads_that_learn_together_hear_the_truth() -> None:
             np.testing.assert_array_equal(found, np.stack([JD + call, call], axis=-1))
 
 
+def test_threads_hold_values_with_their_moments() -> None:
+    """What was known before the first moments were learnt knows none of them."""
+    known = Remembered(lambda part1, part2: part1 + part2)
+    before, _ = known._known
+    known(JD, [0.25])
+    assert before == {}
+    assert known(JD, [0.25]) == JD + 0.25
+
+
+def test_no_moments_have_no_values() -> None:
+    fresh = Remembered(era.c2i06a)
+    assert fresh(JD, []).shape == (0, 3, 3)
+    fresh(JD, [0.25])
+    assert fresh(JD, []).shape == (0, 3, 3)
+
+
 @pytest.mark.parametrize("again", [False, True])
 def test_earth_and_its_axes_are_those_of_erfa(again: bool) -> None:
-    at = instants((JD, 0.25), np.linspace(0.0, 4e5, 1000), 0.2)
+    """New moments; a third of them, and all of the axes, known."""
+    at = instants((JD + again, 0.25), np.linspace(0.0, 4e4, 1000), 0.2)
     if again:
         earth_and_sun(at.tt1[::3], at.tt2[::3])
         gcrs_to_itrs(at)
     heliocentric, barycentric, _ = era.epv00(at.tt1, at.tt2)
     found = earth_and_sun(at.tt1, at.tt2)
     np.testing.assert_array_equal(found.position_m, barycentric["p"] * ASTRONOMICAL_UNIT_M)
+    np.testing.assert_array_equal(
+        found.velocity_m_s, barycentric["v"] * (ASTRONOMICAL_UNIT_M / DAY_S)
+    )
     np.testing.assert_array_equal(found.sun_from_earth_m, -heliocentric["p"] * ASTRONOMICAL_UNIT_M)
     pole = 2e-6, -1e-6
     whole = era.c2t06a(at.tt1, at.tt2, at.ut11, at.ut12, *pole)
     np.testing.assert_array_equal(gcrs_to_itrs(at, *pole), whole)
+    turn, fixed = era.era00(at.ut11, at.ut12), era.sp00(at.tt1, at.tt2)
+    pv = era.pvtob(1.0, 0.5, 100.0, *pole, fixed, turn)
+    to_gcrs = np.swapaxes(era.c2i06a(at.tt1, at.tt2), -1, -2)
+    place, _ = site_state(0.5, 1.0, 100.0, at, *pole)
+    np.testing.assert_array_equal(place, np.einsum("nij,nj->ni", to_gcrs, pv["p"]))

@@ -167,8 +167,8 @@ def test_few_frames_need_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize("frames", [8, slow(900)])
 def test_same_frame_in_any_window(frames: int, tmp_path: Path) -> None:
     """With and without a table, also in earthshine and where the body turns slowly."""
-    slow = {"kind": "spin", "rate_deg_s": 0.1, "axis": [1, 0.2, 0.1]}
-    law = slow if frames == 8 else WORK["none"]
+    turning = {"kind": "spin", "rate_deg_s": 0.1, "axis": [1, 0.2, 0.1]}
+    law = turning if frames == 8 else WORK["none"]
     scene = scene_of(tmp_path, law, frames, lighting={"earthshine_albedo": 0.3})
     every = plan_geometry(scene, np.arange(8), 0.0).target_light
     assert bool(mesh_tables.KEPT) is (frames > 8)
