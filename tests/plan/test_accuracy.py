@@ -123,6 +123,8 @@ def test_every_part_is_counted(scene: Any) -> None:
     at = {"mode": "sidereal", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0}
     away = {"dwells": [{}, {"pointing": at, "slew": {"duration_s": 8.0}}]}  # no shared stars
     assert parts(scene({"sensor.psf": {"kind": "gaussian", "sigma_px": 1.0}} | away)) == 2.0
+    lag = {"sensor.detector": {"lag": {"fraction": 0.05}}, "sensor.full_well_e": 9e4}
+    assert parts(scene({"sensor.psf": {"kind": "airy"}} | lag)) == 5.5
 
 
 def test_without_photon_noise_an_approximation_may_err_by_a_quarter(scene: Any) -> None:
