@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.physics.constants import ASTRONOMICAL_UNIT_M, DAY_S
-from pipeline.physics.positions.remembered import Remembered
 from pipeline.physics.positions.times import Instants
+from pipeline.physics.remembered import Remembered
 
 Array = NDArray[np.float64]
 _AU_PER_DAY_M_S = ASTRONOMICAL_UNIT_M / DAY_S

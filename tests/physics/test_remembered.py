@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.physics import remembered
 from pipeline.physics.constants import ASTRONOMICAL_UNIT_M, DAY_S
-from pipeline.physics.positions import remembered
 from pipeline.physics.positions.earth import earth_and_sun, gcrs_to_itrs, site_state
-from pipeline.physics.positions.remembered import Remembered
 from pipeline.physics.positions.times import instants
+from pipeline.physics.remembered import Remembered
 
 JD = 2458000.5
 CALLS = st.lists(st.lists(st.integers(0, 40), min_size=1, max_size=12), max_size=12)
