@@ -124,9 +124,7 @@ TOGETHER = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [slow(n) if n == "lag" else n for n in TOGETHER]
-)
+@pytest.mark.parametrize("name", [slow(n) if n == "lag" else n for n in TOGETHER])
 def test_same_bits_in_every_tiling(name, tmp_path):
     detector = TOGETHER[name]
     more = {"exposure": {"integration_s": 2.0, "frames": 2 if name == "lag" else 1}, **BRIGHT}

@@ -100,7 +100,7 @@ PSFS = st.one_of(
 )
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     psf=PSFS, dx=st.floats(-40, 40), dy=st.floats(-40, 40), count=st.integers(1, 60),
     brightest=st.floats(1.0, 5.0), seed=st.integers(0, 2**31),

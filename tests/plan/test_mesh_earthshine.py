@@ -80,9 +80,7 @@ def shape(**values: Any) -> Any:
 
 
 @pytest.mark.parametrize("height_m", [5e5, 3.6e7])
-@pytest.mark.parametrize(
-    "what", ["sphere", "plate", slow("two-sided plate")]
-)
+@pytest.mark.parametrize("what", ["sphere", "plate", slow("two-sided plate")])
 def test_against_simple_shapes(what: str, height_m: float) -> None:
     at = view(height_m)
     if what == "sphere":

@@ -387,9 +387,7 @@ def test_without_stars_no_tables_are_told(scene: Make) -> None:
     assert names.count("core_ends") == 1
 
 
-@pytest.mark.parametrize(
-    ("q", "eps"), [(0.5, 0.3), (2.0, 0.0), slow(1.0, 0.3)]
-)
+@pytest.mark.parametrize(("q", "eps"), [(0.5, 0.3), (2.0, 0.0), slow(1.0, 0.3)])
 def test_brightest_source_of_each_class_stays_within_the_budget(
     scene: Make, q: float, eps: float
 ) -> None:

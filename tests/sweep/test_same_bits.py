@@ -42,9 +42,7 @@ def rows_of(path, out, **options):
     return pq.read_table(out / "points.parquet").to_pylist()
 
 
-@pytest.mark.parametrize(
-    "case", [slow(c) if c in ("detector", "optics") else c for c in CASES]
-)
+@pytest.mark.parametrize("case", [slow(c) if c in ("detector", "optics") else c for c in CASES])
 def test_same_bits_as_each_point_alone(case, sweep_file, tmp_path):
     """Also by other schedulers, and by the cube that is kept of a point."""
     path = sweep_file(CASES[case], cubes=[1])

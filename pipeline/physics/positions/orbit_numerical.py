@@ -83,6 +83,7 @@ class Trajectory:
         tt1, tt2 = self._tt[0], self._tt[1] + t / _DAY_S
         sun = none
         if f.sun or f.radiation_m2_kg > 0.0:
+            # as `earth_and_sun` has it, of moments that never come again
             sun = np.asarray(-era.epv00(tt1, tt2)[0]["p"]) * ASTRONOMICAL_UNIT_M
         moon = np.asarray(era.moon98(tt1, tt2)["p"]) * ASTRONOMICAL_UNIT_M if f.moon else none
         return sun, moon

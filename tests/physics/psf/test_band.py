@@ -95,9 +95,7 @@ def test_quadrature_is_exact_for_polynomials(values: list[float], count: int) ->
 
 
 @pytest.mark.parametrize("band", [BOX, TRIANGLE])
-@pytest.mark.parametrize(
-    "q", [1.0, 8.0, *(slow(q) for q in (0.1, 0.5, 4.0))]
-)
+@pytest.mark.parametrize("q", [1.0, 8.0, *(slow(q) for q in (0.1, 0.5, 4.0))])
 def test_against_a_hundred_wavelengths(q: float, band: tuple[np.ndarray, np.ndarray]) -> None:
     def make(wavelength_m: float) -> Airy:
         return Airy(q * wavelength_m / MEAN, 0.3)

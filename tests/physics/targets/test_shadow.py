@@ -63,9 +63,7 @@ def test_same_as_the_plain_eclipse_without_options(radius) -> None:
     assert np.all(sunlit_fraction(dark, SUN) == 1.0)
 
 
-@pytest.mark.parametrize(
-    "latitude", [0.0, 1.2, *(slow(a) for a in (0.6, np.pi / 2))]
-)
+@pytest.mark.parametrize("latitude", [0.0, 1.2, *(slow(a) for a in (0.6, np.pi / 2))])
 @pytest.mark.parametrize("radius", [6.9e6, 4.2164e7])
 def test_against_rays(radius, latitude) -> None:
     targets = crossing(radius, latitude, 9)

@@ -103,9 +103,7 @@ def scene_of(folder: Path, law: dict[str, Any] | None, frames: int, **more: Any)
     return gather_meshes(parse_scene({**SKY, "targets": [target], "exposure": exposure}))
 
 
-@pytest.mark.parametrize(
-    "law", [slow(w) if w == "spin" else w for w in WORK]
-)
+@pytest.mark.parametrize("law", [slow(w) if w == "spin" else w for w in WORK])
 def test_the_stated_error_holds(law: str, tmp_path: Path, monkeypatch: Any) -> None:
     """Frames from the table against the same frames worked out one by one."""
     scene = scene_of(tmp_path, WORK[law], 900 if law == "none" else 2000)

@@ -48,9 +48,7 @@ def sky(data: dict[str, Any], path: Path) -> np.ndarray:
     return np.asarray(open_cube(path)["background_e"].values.astype(float).mean(axis=(1, 2)))
 
 
-@pytest.mark.parametrize(
-    "away", [slow(HERE), THERE | {"boresight_dec_deg": -9.0}]
-)
+@pytest.mark.parametrize("away", [slow(HERE), THERE | {"boresight_dec_deg": -9.0}])
 def test_a_field_visited_once_among_many_dwells(away: dict[str, Any], tmp_path: Path) -> None:
     """From the other side of the sky, and from 5 degrees away."""
     dwells = [{"frames": 1, "pointing": THERE if k == 72 else away} for k in range(80)]

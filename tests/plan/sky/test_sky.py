@@ -101,7 +101,7 @@ def test_total_light_stays_when_the_limit_moves(scene, mapped, band):
     if name != "box":
         bandpass = {"kind": "named", "name": name}
     totals, beyond = [], 0.0
-    for limit in (21.0, 10.0, 13.3, 17.0):
+    for limit in (21.0, 10.0, 12.0, 13.3, 17.0):
         changes = {"stars.faintest_g_mag": limit, "sensor.bandpass": bandpass,
                    "background": {"starlight": "all", "uniform_e_per_s": 0.0}}  # fmt: skip
         s, facts, sky, fit = planned(scene, changes, (mapped,))

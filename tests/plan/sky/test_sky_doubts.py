@@ -328,7 +328,7 @@ def test_search_for_a_frame_that_is_missed() -> None:
     rng = np.random.default_rng(3)
     place = np.array(SCENE["observer"]["position_au"]) * AU_M
     towards, silent, found = body("sun") - place, 0, 0
-    frames, cadence = 40, 75.0
+    frames, cadence = 75, 40.0
     for _ in range(12):
         start = beside(towards, rng.uniform(5.0, 25.0), rng.uniform(0, 6.28))["pointing"]
         start |= {"mode": "rate", "rate_ra_arcsec_s": float(rng.uniform(-40.0, 40.0)),
