@@ -28,7 +28,7 @@ STAR_BYTES = 150.0
 BASE_MB = 180.0  # of a process that has imported all and draws nothing
 GRID_S_PER_POINT = 1e-7  # of a block's grid of wings, for each core class
 SWEEP_S_PER_POINT = 2e-8  # of that grid, for each segment of its streak
-KERNEL_S_PER_POINT = 5e-8  # of the grid that a wing is made on, with its core; of a band the same
+KERNEL_S_PER_POINT = 7e-8  # of the grid that a wing is made on, with its core; of a band the same
 CORE_S_PER_SAMPLE = 1.3e-7  # of a response's core, with its spectrum
 PUPIL_S_PER_POINT = 1.2e-8  # and more of it for each wavelength of an aperture with a wavefront
 LIBRARY_MB = 150.0  # more, of one that draws sources: compiled loops, tables of responses
@@ -164,7 +164,7 @@ def _memory_mb(plan: Plan, forecast: StarForecast | None, spent: Spent) -> dict[
     if _in_crowds(plan, stars):
         pixels = min(math.prod(plan.scene.sensor.shape), BLOCK_PX**2)
         out["crowds"] = CROWD_BYTES_PER_PIXEL * pixels / 1e6
-    if r.spacing_px and _classes_used(plan, spent):
+    if r.spacing_px and _classes_used(plan, spent, r.around):
         classes = 4.0 + min(CLASSES_USED, len(r.classes))
         still = _grid_points(plan, 0.0) * 8.0 * classes
         making = KERNEL_BYTES_PER_POINT * _kernel_points(plan)
@@ -193,7 +193,7 @@ def _test_points(plan: Plan) -> float:
 def _wings_s(plan: Plan, spent: Spent) -> float:
     """CPU seconds of the grids of wings of a frame."""
     r = plan.responses
-    if not (r.spacing_px and _classes_used(plan, spent)):
+    if not (r.spacing_px and _classes_used(plan, spent, r.around)):
         return 0.0
     blocks = math.prod(math.ceil(n / BLOCK_PX) for n in plan.scene.sensor.shape)
     each = GRID_S_PER_POINT * min(CLASSES_USED, len(r.classes))
@@ -210,7 +210,7 @@ def _kernels_s(plan: Plan, spent: Spent) -> float:
     r = plan.responses
     if not r.spacing_px:
         return 0.0
-    kernels = len(r.blurs) * _classes_used(plan, spent)
+    kernels = len(r.blurs) * _classes_used(plan, spent, r.around)
     of_frames = plan.frames if kernels * 8.0 * _grid_points(plan, 0.0) > KERNEL_BYTES else 1
     windows = 2 * check_count(plan.scene)
     fine = fine_ends(r.spacing_px, r.reach_px)
@@ -227,7 +227,7 @@ def _cores_s(plan: Plan, spent: Spent) -> float:
     Once in a process, or, where all cores are more than are kept, for every window; then those
     that draw stars, and their truth's, are made again for every frame.
     """
-    r, used = plan.responses, math.ceil(_classes_used(plan, spent))
+    r, used = plan.responses, math.ceil(_classes_used(plan, spent, plan.responses.expected[:-1]))
     if not (r.classes and used):
         return 0.0
     finest = [oversampling_for(blur) for blur in r.blurs]
@@ -245,11 +245,11 @@ def _cores_s(plan: Plan, spent: Spent) -> float:
     return CORE_S_PER_SAMPLE * (of_check * windows + of_frames)
 
 
-def _classes_used(plan: Plan, spent: Spent) -> float:
-    """How many of the core classes have sources near a frame."""
+def _classes_used(plan: Plan, spent: Spent, expected: tuple[float, ...]) -> float:
+    """How many of the core classes have sources near a frame; expected : stars of each."""
     r, scene = plan.responses, plan.scene
     unknown = float(CLASSES_USED) if scene.stars is not None else 0.0
-    used = sum(min(1.0, n) for n in r.expected[:-1]) if r.expected else unknown
+    used = sum(min(1.0, n) for n in expected) if expected else unknown
     others = 1.0 if spent.near and (scene.targets or scene.populations) else 0.0
     return min(float(CLASSES_USED), float(len(r.classes)), used + others)
 

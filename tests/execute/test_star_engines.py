@@ -22,6 +22,7 @@ from pipeline.physics.psf.response import phase_table
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.ledger import LEDGER
+from pipeline.plan.needs import predict
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.response.responses import CoreClass
@@ -97,6 +98,23 @@ def test_a_cluster_costs_what_it_holds(streak_px: float) -> None:
     assert (few.stars_s, few.expected) == (hundred.stars_s, hundred.expected)
     assert (all_.stars_s, all_.expected) == (many.stars_s, many.expected)
     assert sum(few.expected) == 100.0
+
+
+def test_stars_beside_the_frame_are_forecast_with_their_wings() -> None:
+    """Their cores reach no pixel of it, their wings do: these are made as for stars in it."""
+    plan = plan_of(0.0, psf={"kind": "airy", "wavelengths": 1}, focal_length_m=0.3)
+    light = np.full(9, 0.5 * plan.responses.classes[0].brightest_e)
+    inside, beside, beyond = (
+        with_engines(plan, StarCounts(light, beyond_px=np.full(9, px)))
+        for px in (0.0, 0.5 * plan.halo_px, 2.0 * plan.halo_px)
+    )
+    assert 0.5 * plan.halo_px > 2.0 * plan.responses.classes[0].radius_px
+    assert (sum(beside.responses.expected[:-1]), sum(beyond.responses.around)) == (0.0, 0.0)
+    assert beside.responses.around == inside.responses.around
+    assert sum(inside.responses.around) == 9.0
+    told = [predict(made, None) for made in (inside, beside, beyond)]
+    for need in ("cpu_s", "worker_memory_mb"):
+        assert told[0][need] >= told[1][need] > 1.01 * told[2][need]
 
 
 def engines(plan: Plan) -> list[tuple[int, int]]:

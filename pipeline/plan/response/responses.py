@@ -105,7 +105,8 @@ class ResponsePlan:
     field : the responses over the field, `blur` being the sharpest; None where `blur` serves all
     table_mb : what a field's tables may take together [MB]
     stars_s : CPU seconds that its stars cost a frame, less those in crowds; None where not counted
-    expected : how many stars of each class, and beyond the last, light a frame
+    expected : how many stars of each class, and beyond the last, light a frame; around : how many
+        of each class do by their wings, from beside it too
     """
 
     blur: Blur
@@ -121,6 +122,7 @@ class ResponsePlan:
     table_mb: float = 0.0
     stars_s: float | None = None
     expected: tuple[float, ...] = ()
+    around: tuple[float, ...] = ()
 
     @property
     def blurs(self) -> tuple[Blur, ...]:

@@ -92,8 +92,9 @@ def choose_engines(plan: ResolvedScene, g: Geometry, counts: StarCounts) -> Star
     stars_s += _beyond_s(plan, limits[-2], streaks, beyond, counts.near(NEAR_PX + far_px))
     ends = zip([*near, beyond], pairwise(limits), strict=True)
     expected = tuple(some.between(*light_e) for some, light_e in ends)
+    around = tuple(beyond.between(*light_e) for light_e in pairwise(limits))[:-1]
     spent_s = None if r.products else stars_s
-    made = replace(r, classes=tuple(classes), stars_s=spent_s, expected=expected)
+    made = replace(r, classes=tuple(classes), stars_s=spent_s, expected=expected, around=around)
     if r.spectral_from:
         made = replace(made, crowd_e=_crowd_e(plan, counts, streaks))
     drawn = r.spectral_from or r.products or any(c.phases for c in classes)
