@@ -82,11 +82,22 @@ def _universal_anomaly(time: Array, radial: Array, alpha: Array) -> Array:
     return s
 
 
+_STEPS = np.cumprod([1e-3] + 64 * [1.5])
+
+
 def _outer_edge(time: Array, radial: Array, alpha: Array) -> Array:
-    """|s| on the far side of the root for every time (...), by growth; one turn at the most."""
-    with np.errstate(divide="ignore"):
+    """|s| on the far side of the root for every time (...), by growth; one turn at the most.
+
+    The time is the integral of the radius over s, so the root is not before |time| / apoapsis:
+    the growth begins there.
+    """
+    parameter = np.maximum(2.0 - alpha - radial**2, 0.0)
+    eccentricity = np.sqrt(np.maximum(1.0 - alpha * parameter, 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
         turn = 2.0 * np.pi / np.sqrt(np.maximum(alpha, 0.0))
-    edge = np.minimum(1e-3, turn)
+        surely = np.where(alpha > 0, np.abs(time) * alpha / (1.0 + eccentricity), 0.0)
+    begins = np.searchsorted(_STEPS, surely / 1.5) - 1
+    edge = np.minimum(_STEPS[np.maximum(begins, 0)], turn)
     sign = np.where(time < 0, -1.0, 1.0)
     for _ in range(1000):
         _, u1, u2, u3 = universal_functions(sign * edge, alpha)
