@@ -281,7 +281,8 @@ def _image(geometry, work, active, parts, frame, image):
     x0, y0, side = frame
     for f in active:
         found = max(covered(f, view, light, sign, normal, sun, axes, room, work), 0)
-        work.near[:found] = np.arange(1, found + 1)
+        for k in range(found):
+            work.near[k] = k + 1
         length = _spread(work, found, frame, LINES, parts[f], 0.0, image)
         if length > 0.0:
             _spread(work, found, frame, LINES, parts[f], length, image)

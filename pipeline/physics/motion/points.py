@@ -33,21 +33,42 @@ def points_along(path: Path, band: float) -> tuple[Array, Array, Array]:
     band : highest frequency of the image at rest [cycles/px]. Up to it, light at the points has the
     transfer function of light along the path, to SEEN.
     """
-    x0, y0, dx, dy = path.x_px[:-1], path.y_px[:-1], np.diff(path.x_px), np.diff(path.y_px)
-    phase_rad = np.pi * band * np.hypot(dx, dy)  # of a segment's ends against its middle
-    cuts = np.maximum(1, np.ceil(phase_rad / _served_rad()[-1])).astype(np.int64)
-    count = np.searchsorted(_served_rad(), phase_rad / cuts) + 1
-    found, lit = [], path.weight != 0.0
-    for cut, nodes in np.unique(np.stack([cuts, count]), axis=1).T:
-        some = np.flatnonzero(lit & (cuts == cut) & (count == nodes))[:, None]
-        t, w = _nodes(int(nodes))
-        at = ((np.arange(cut)[:, None] + 0.5 * (t + 1.0)) / cut).ravel()
-        share = path.weight[some] * np.tile(0.5 * w / cut, cut)
-        found.append([x0[some] + at * dx[some], y0[some] + at * dy[some], share])
-    x, y, share = (
-        np.concatenate([v.ravel() for v in values]) for values in zip(*found, strict=True)
-    )
+    x, y, share = _on_segments(path.x_px, path.y_px, path.weight, band, _served_rad(), *_rules())
     return x, y, share
+
+
+@njit(cache=True, nogil=True)
+def _on_segments(x, y, weight, band, served_rad, t, w):
+    """Points (3, n) on the lit segments, x, y and light: those of fewest cuts first, and of them
+    those of fewest nodes."""
+    count = len(weight)
+    cuts, nodes = np.empty(count, np.int64), np.empty(count, np.int64)
+    total = 0
+    for k in range(count):
+        phase_rad = math.pi * band * math.hypot(x[k + 1] - x[k], y[k + 1] - y[k])
+        cuts[k] = max(1, math.ceil(phase_rad / served_rad[-1]))
+        nodes[k] = np.searchsorted(served_rad, phase_rad / cuts[k]) + 1
+        total += cuts[k] * nodes[k] if weight[k] != 0.0 else 0
+    out, used, rank = np.empty((3, total)), 0, -1
+    while used < total:
+        least = -1  # of the ranks that are still to come
+        for k in range(count):
+            of_k = cuts[k] * (MOST + 1) + nodes[k]
+            if weight[k] != 0.0 and of_k > rank and (least < 0 or of_k < least):
+                least = of_k
+        rank = least
+        for k in range(count):
+            if weight[k] == 0.0 or cuts[k] * (MOST + 1) + nodes[k] != rank:
+                continue
+            n, cut = nodes[k], cuts[k]
+            for c in range(cut):
+                for i in range(n):
+                    at = (c + 0.5 * (t[n - 1, i] + 1.0)) / cut
+                    out[0, used] = x[k] + at * (x[k + 1] - x[k])
+                    out[1, used] = y[k] + at * (y[k + 1] - y[k])
+                    out[2, used] = weight[k] * (0.5 * w[n - 1, i] / cut)
+                    used += 1
+    return out
 
 
 def in_fewer_points(path: Path, band: float) -> Path:

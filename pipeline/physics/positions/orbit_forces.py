@@ -102,7 +102,7 @@ def _acceleration(y, pole, sun, moon, zonals, drag, radiation, conical, by_sun, 
     r, v = y[:3], y[3:]
     total = _gravity(r, pole, zonals)
     if drag > 0.0:
-        wind = v - EARTH_ROTATION_RAD_S * np.cross(pole, r)
+        wind = v - EARTH_ROTATION_RAD_S * _cross(pole, r)
         speed = np.sqrt(np.sum(wind * wind))
         total -= 0.5 * _density(_height(r, pole)) * drag * speed * wind
     if radiation > 0.0:
@@ -117,6 +117,16 @@ def _acceleration(y, pole, sun, moon, zonals, drag, radiation, conical, by_sun, 
     if by_moon:
         total += _third_body(r, moon, MOON_GM_M3_S2)
     return total
+
+
+@njit(cache=True, nogil=True)
+def _cross(a, b):
+    """Of two vectors (3,); numba takes two seconds to compile numpy's, which knows many shapes."""
+    out = np.empty(3)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        out[i] = a[j] * b[k] - a[k] * b[j]
+    return out
 
 
 @njit(cache=True, nogil=True)
