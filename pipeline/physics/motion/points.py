@@ -41,34 +41,45 @@ def points_along(path: Path, band: float) -> tuple[Array, Array, Array]:
 def _on_segments(x, y, weight, band, served_rad, t, w):
     """Points (3, n) on the lit segments, x, y and light: those of fewest cuts first, and of them
     those of fewest nodes."""
-    count = len(weight)
-    cuts, nodes = np.empty(count, np.int64), np.empty(count, np.int64)
-    total = 0
-    for k in range(count):
+    lit = np.flatnonzero(weight)
+    cuts, nodes = np.empty(len(lit), np.int64), np.empty(len(lit), np.int64)
+    for j, k in enumerate(lit):
         phase_rad = math.pi * band * math.hypot(x[k + 1] - x[k], y[k + 1] - y[k])
-        cuts[k] = max(1, math.ceil(phase_rad / served_rad[-1]))
-        nodes[k] = np.searchsorted(served_rad, phase_rad / cuts[k]) + 1
-        total += cuts[k] * nodes[k] if weight[k] != 0.0 else 0
-    out, used, rank = np.empty((3, total)), 0, -1
-    while used < total:
-        least = -1  # of the ranks that are still to come
-        for k in range(count):
-            of_k = cuts[k] * (MOST + 1) + nodes[k]
-            if weight[k] != 0.0 and of_k > rank and (least < 0 or of_k < least):
-                least = of_k
-        rank = least
-        for k in range(count):
-            if weight[k] == 0.0 or cuts[k] * (MOST + 1) + nodes[k] != rank:
-                continue
-            n, cut = nodes[k], cuts[k]
-            for c in range(cut):
-                for i in range(n):
-                    at = (c + 0.5 * (t[n - 1, i] + 1.0)) / cut
-                    out[0, used] = x[k] + at * (x[k + 1] - x[k])
-                    out[1, used] = y[k] + at * (y[k + 1] - y[k])
-                    out[2, used] = weight[k] * (0.5 * w[n - 1, i] / cut)
-                    used += 1
+        cuts[j] = max(1, math.ceil(phase_rad / served_rad[-1]))
+        nodes[j] = np.searchsorted(served_rad, phase_rad / cuts[j]) + 1
+    out, used = np.empty((3, np.sum(cuts * nodes))), 0
+    rank = cuts * (MOST + 1) + nodes
+    now = rank.min() if len(rank) else 0
+    while used < out.shape[1]:
+        following = np.iinfo(np.int64).max
+        for j, k in enumerate(lit):
+            if rank[j] == now:
+                n, end = nodes[j], used + cuts[j] * nodes[j]
+                _place_cuts(
+                    x[k : k + 2],
+                    y[k : k + 2],
+                    weight[k],
+                    t[n - 1, :n],
+                    w[n - 1, :n],
+                    out[:, used:end],
+                )
+                used = end
+            elif rank[j] > now:
+                following = min(following, rank[j])
+        now = following
     return out
+
+
+@njit(cache=True, nogil=True)
+def _place_cuts(x, y, light, t, w, out):
+    """Points (3, cuts times n) at the places t (n,) of a rule in each cut of a segment."""
+    n, cut = len(t), out.shape[1] // len(t)
+    for c in range(cut):
+        for i in range(n):
+            at, of = (c + 0.5 * (t[i] + 1.0)) / cut, c * n + i
+            out[0, of] = x[0] + at * (x[1] - x[0])
+            out[1, of] = y[0] + at * (y[1] - y[0])
+            out[2, of] = light * (0.5 * w[i] / cut)
 
 
 def in_fewer_points(path: Path, band: float) -> Path:

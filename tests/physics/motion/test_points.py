@@ -46,3 +46,5 @@ def test_few_points_serve():
     assert points_per_px(1.3) < 3.0
     x, y, share = points_along(POINT, 1.3)
     np.testing.assert_array_equal([x, y, share], [[0.0], [0.0], [1.0]])
+    dark = Path(np.array([0.0, 3.0, 9.0]), np.zeros(3), np.zeros(2))
+    assert all(len(found) == 0 for found in points_along(dark, 1.3))
