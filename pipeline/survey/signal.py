@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from catalog_tools.engine.code import code_digest
 from pipeline.execute.truth import matched_snr
+from pipeline.kept import kept_array
 from pipeline.physics.motion.streak import straight
 from pipeline.plan.resolved import ResolvedScene
 
@@ -47,17 +49,25 @@ class SignalTable:
 
 
 def signal_table(resolved: ResolvedScene) -> SignalTable:
-    """The table of a resolved scene's camera, for its first frame."""
-    camera = resolved.camera
+    """The table of a resolved scene's camera, for its first frame; kept on disk for other studies
+    of the same sensor."""
+    camera, r = resolved.camera, resolved.responses
     longest = float(min(camera.rows, camera.columns))
     light = np.geomspace(LEAST_E, MOST_E, LIGHTS)
     middle = np.full(LIGHTS, 0.5 * (camera.columns - 1)), np.full(LIGHTS, 0.5 * (camera.rows - 1))
-    shares = np.linspace(0.0, 1.0, LENGTHS)
-    lengths = _length_at(shares * _of_length(longest))
-    rows = [
-        matched_snr(resolved, straight(length, SLANT_RAD), light, *middle) for length in lengths
-    ]
-    return SignalTable(np.log(np.array(rows)), longest)
+
+    def make() -> Array:
+        lengths = _length_at(np.linspace(0.0, 1.0, LENGTHS) * _of_length(longest))
+        paths = [straight(length, SLANT_RAD) for length in lengths]
+        return np.log([matched_snr(resolved, path, light, *middle) for path in paths])
+
+    x, y = (v[:1] for v in middle)
+    of_response = tuple((blur, float(share[0])) for blur, _, share in r.parts(x, y, np.ones(1)))
+    floor_e2 = float(resolved.snr_floor_e2(0, x, y)[0])
+    of_noise = floor_e2, resolved.facts.flat, resolved.scene.sensor.photon_noise
+    size = longest, LENGTHS, LIGHTS
+    content = "signal", code_digest(), of_response, r.usual_px, of_noise, size
+    return SignalTable(kept_array(content, make), longest)
 
 
 def _of_length(length_px: Array | float) -> Array:

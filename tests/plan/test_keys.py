@@ -20,6 +20,8 @@ from pipeline.physics.radiometry import ResponseCurve, box
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.optics import optics
 from pipeline.plan.response import responses
+from pipeline.resolve.resolve import resolve
+from pipeline.survey import signal
 
 BLUR, OTHER = Blur(Gaussian(0.8)), Blur(Airy(2.0, 0.0))
 PIECE = Path(np.array([-2.0, 2.0]), np.array([0.0, 1.0]), np.ones(1))
@@ -144,3 +146,31 @@ def test_wavelengths_are_kept_by_all_that_chooses_them(
     ]
     found = digests(monkeypatch, optics, "kept", calls)
     assert len(set(found)) == len(asked)
+
+
+def test_signal_tables_are_kept_by_all_that_they_follow_from(
+    scene: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The response, the noise, the light that is lost, the frame's size, the table's own; another
+    seed, place or name is no other table."""
+    base = {
+        "stars": None, "background": {"uniform_e_per_s": 3.0}, "sensor.flat": 0.9,
+        "sensor.psf": {"kind": "gaussian", "sigma_px": 0.9}, "exposure": {"integration_s": 2.0},
+    }  # fmt: skip
+    asked: list[dict[str, Any]] = [
+        {}, {"sensor.psf": {"kind": "gaussian", "sigma_px": 1.0}}, {"sensor.read_noise_e": 6.0},
+        {"sensor.photon_noise": False}, {"sensor.flat": 0.8}, {"sensor.shape": [511, 768]},
+        {"exposure": {"integration_s": 2.5}}, {"background": {"uniform_e_per_s": 3.5}},
+        {"sensor.dark_e_per_s": 1.0}, {"sensor.fill_factor": 0.9},
+    ]  # fmt: skip
+    same: list[dict[str, Any]] = [{"seed": 5}, {"name": "other"}, {"sensor.full_well_e": 9e4}]
+    calls = [
+        lambda of=resolve(scene(base | change)).scene: signal.signal_table(of)
+        for change in (*same, *asked)
+    ]
+    found = digests(monkeypatch, signal, "kept_array", calls)
+    assert len(set(found)) == len(asked)
+    assert len(set(found[: len(same) + 1])) == 1
+    monkeypatch.setattr(signal, "LENGTHS", 24)
+    [coarse] = digests(monkeypatch, signal, "kept_array", calls[:1])
+    assert coarse not in found
