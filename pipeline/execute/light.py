@@ -293,7 +293,8 @@ def _draw_piece(
             linear = crowd[mine] * table.linear_error <= (0.0 if cubic else budget_e)
             place = x[mine][keep], y[mine][keep], part[keep]
             draw_stamps(image, (tile.y0, tile.x0), table, *place, ~linear[keep])
-    draw_exact(plan, image, tile, k, piece, x[exact], y[exact], light[exact])
+    if exact.any():
+        draw_exact(plan, image, tile, k, piece, x[exact], y[exact], light[exact])
 
 
 def draw_exact(
