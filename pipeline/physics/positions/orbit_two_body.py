@@ -95,8 +95,8 @@ def _outer_edge(time: Array, radial: Array, alpha: Array) -> Array:
     eccentricity = np.sqrt(np.maximum(1.0 - alpha * parameter, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = 2.0 * np.pi / np.sqrt(np.maximum(alpha, 0.0))
-        surely = np.where(alpha > 0, np.abs(time) * alpha / (1.0 + eccentricity), 0.0)
-    begins = np.searchsorted(_STEPS, surely / 1.5) - 1
+        surely = np.abs(time) * alpha / (1.0 + eccentricity)
+    begins = np.searchsorted(_STEPS, np.where(surely > 0.0, surely / 1.5, 0.0)) - 1
     edge = np.minimum(_STEPS[np.maximum(begins, 0)], turn)
     sign = np.where(time < 0, -1.0, 1.0)
     for _ in range(1000):
