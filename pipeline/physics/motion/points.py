@@ -41,33 +41,35 @@ def points_along(path: Path, band: float) -> tuple[Array, Array, Array]:
 def _on_segments(x, y, weight, band, served_rad, t, w):
     """Points (3, n) on the lit segments, x, y and light: those of fewest cuts first, and of them
     those of fewest nodes."""
-    lit = np.flatnonzero(weight)
-    cuts, nodes = np.empty(len(lit), np.int64), np.empty(len(lit), np.int64)
-    for j, k in enumerate(lit):
+    cuts, rank = np.empty(len(weight), np.int64), np.empty(len(weight), np.int64)
+    total, used, now = 0, 0, 0
+    for k in range(len(weight)):
         phase_rad = math.pi * band * math.hypot(x[k + 1] - x[k], y[k + 1] - y[k])
-        cuts[j] = max(1, math.ceil(phase_rad / served_rad[-1]))
-        nodes[j] = np.searchsorted(served_rad, phase_rad / cuts[j]) + 1
-    out, used = np.empty((3, np.sum(cuts * nodes))), 0
-    rank = cuts * (MOST + 1) + nodes
-    now = rank.min() if len(rank) else 0
-    while used < out.shape[1]:
-        following = np.iinfo(np.int64).max
-        for j, k in enumerate(lit):
-            if rank[j] == now:
-                n, end = nodes[j], used + cuts[j] * nodes[j]
-                _place_cuts(
-                    x[k : k + 2],
-                    y[k : k + 2],
-                    weight[k],
-                    t[n - 1, :n],
-                    w[n - 1, :n],
-                    out[:, used:end],
-                )
+        cuts[k] = max(1, math.ceil(phase_rad / served_rad[-1]))
+        nodes = np.searchsorted(served_rad, phase_rad / cuts[k]) + 1
+        rank[k] = cuts[k] * (MOST + 1) + nodes if weight[k] != 0.0 else 0
+        total += cuts[k] * nodes if weight[k] != 0.0 else 0
+    out = np.empty((3, total))
+    while used < total:
+        now = _next_above(now, rank)
+        n = now % (MOST + 1)
+        for k in range(len(weight)):
+            if rank[k] == now:
+                end = used + cuts[k] * n
+                of_segment = x[k : k + 2], y[k : k + 2], weight[k]
+                _place_cuts(*of_segment, t[n - 1, :n], w[n - 1, :n], out[:, used:end])
                 used = end
-            elif rank[j] > now:
-                following = min(following, rank[j])
-        now = following
     return out
+
+
+@njit(cache=True, nogil=True)
+def _next_above(now, ranks):
+    """The least of some numbers that is above one; 0 where there is none."""
+    found = 0
+    for rank in ranks:
+        if rank > now and (found == 0 or rank < found):
+            found = rank
+    return found
 
 
 @njit(cache=True, nogil=True)

@@ -343,12 +343,16 @@ def transfer(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _transfer(fy, fx, x, y, weight, columns):
     out = np.zeros((fy.size, fx.size), np.complex128)
-    for k in np.flatnonzero(weight):
+    for k in range(len(weight)):
+        if weight[k] == 0.0:
+            continue
         dx, dy = np.pi * (x[k + 1] - x[k]), np.pi * (y[k + 1] - y[k])
         mx, my = np.pi * (x[k + 1] + x[k]), np.pi * (y[k + 1] + y[k])
         across, sines, cosines = fx * dx, np.sin(fx * dx), np.cos(fx * dx)
         turns = np.cos(fx * mx) - 1j * np.sin(fx * mx)
-        for i in np.flatnonzero(columns):
+        for i in range(len(fy)):
+            if columns[i] == 0:
+                continue
             half_y = fy[i] * dy
             sin_y, cos_y = np.sin(half_y), np.cos(half_y)
             turn = weight[k] * complex(np.cos(fy[i] * my), -np.sin(fy[i] * my))
