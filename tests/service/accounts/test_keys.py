@@ -216,6 +216,27 @@ def test_the_list_tells_when_keys_end(
     assert any(f"to {day - timedelta(days=n)} " in until for n in (0, 1))
 
 
+def test_the_list_tells_revoked_from_expired(
+    engine: sa.Engine, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A key that was revoked before its days were over did not just run out."""
+    for days in (None, 30.0):
+        create_key(engine, "red", days=days)
+    revoked = [row["id"] for row in list_keys(engine)]
+    for key_id in revoked:
+        revoke_key(engine, key_id)
+    create_key(engine, "red", days=1.0)
+    later_s = time.time() + 2 * 86_400
+    monkeypatch.setattr("service.accounts.keys.time", SimpleNamespace(time=lambda: later_s))
+    monkeypatch.setattr(commands, "_engine", lambda _: (engine, Path()))
+    commands.listing(None, False)
+    words = [line.split()[:2] for line in capsys.readouterr().out.splitlines()]
+    told = dict(words)
+    assert len(told) == 3
+    assert {told.pop(key_id) for key_id in revoked} == {"revoked"}
+    assert list(told.values()) == ["expired"]
+
+
 @pytest.fixture(scope="module")
 def guarded(keep_server: Callable[..., Any]) -> Any:
     """A server that was open, until a key was made while it ran."""
