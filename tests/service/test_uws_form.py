@@ -5,14 +5,18 @@ from __future__ import annotations
 import os
 import time
 from datetime import UTC, datetime
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lxml import etree
+from starlette.requests import Request
 
 from service.jobs.jobs import Job, Phase
+from service.standards import uws
 from service.standards.uws import _time
 from service.standards.uws_xml import job_xml, jobs_xml, parameters_xml, result_names, results_xml
 
@@ -162,6 +166,26 @@ def test_errors_and_tiles_are_told() -> None:
         root = etree.fromstring(job_xml(job, {}, []))
         assert root.find("{*}errorSummary").get("type") == passes
         assert [e.text for e in root.find("{*}jobInfo")] == ["3", "8"]
+
+
+@pytest.mark.parametrize("frames", [3, 7, 8, 1000])
+def test_no_more_frames_are_linked_than_a_table_should_hold(
+    monkeypatch: pytest.MonkeyPatch, frames: int
+) -> None:
+    """The first ones of a long scene; each is there at its number."""
+    plain: dict[str, Any] = dict.fromkeys(Job.__dataclass_fields__)
+    job = Job(**plain | {"id": "b", "kind": "scene", "phase": Phase.COMPLETED})
+    monkeypatch.setattr(uws, "MOST_LINKS", 7)
+    monkeypatch.setattr(uws, "complete_product", lambda *_: Path("product"))
+    monkeypatch.setattr(uws, "list_files", lambda _: [("plan.json", 9)])
+    monkeypatch.setattr(uws.frames, "describe", lambda _: {"frames": frames})
+    service = SimpleNamespace(store=SimpleNamespace(get=lambda _: job))
+    here = {"server": ("here", 80), "scheme": "http", "path": "/", "query_string": b""}
+    request = Request({"type": "http", "method": "GET", "headers": []} | here)
+    answer = uws.result(request, service, "b", "result")  # type: ignore[arg-type]
+    cells = [cell.text for cell in etree.fromstring(answer.body).iter("{*}TD")]
+    linked = [text for text in cells if text and text.startswith("http://here/v1/jobs/b/frames/")]
+    assert linked == [f"http://here/v1/jobs/b/frames/{k}/fits" for k in range(min(frames, 7))]
 
 
 def test_a_time_without_a_zone_is_in_utc(monkeypatch: pytest.MonkeyPatch) -> None:
