@@ -60,6 +60,18 @@ def test_a_full_converter_is_told_of_amplifiers() -> None:
     assert not warnings(adc_bits=16)
 
 
+def test_pixels_are_full_by_the_time_of_a_frame_under_one_sky() -> None:
+    """A quarter of the converter's range: 6.5e3 e- fill it in 5 s, but not in half a second."""
+    scene = copy.deepcopy(SCENE)
+    part = {"rows": [0, 64], "columns": [0, 16], "gain_e_per_dn": 0.1}
+    scene["sensor"] |= {"adc_bits": 16, "detector": {"amplifiers": [part]}}
+    for times_s in ([5.0, 0.5, 0.5], [0.5, 5.0, 0.5], [0.5, 0.5, 5.0]):
+        dwell = {"integration_s": times_s, "frames": 3, "cadence_s": 10.0}
+        told = prepare(parse_scene(scene | {"dwells": [dwell]})).plan.warnings
+        (full,) = [w for w in told if "no source shows" in w]
+        assert f"fill 25.0% of the pixels in frame {times_s.index(5.0)} " in full
+
+
 def test_noise_below_zero_is_told_with_its_size() -> None:
     (told,) = warnings(0.5, bias_dn=0)
     assert "30.1% of the pixels without a source lie below 0 DN" in told
