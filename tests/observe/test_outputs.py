@@ -17,7 +17,7 @@ from pipeline.execute.sources import place_targets
 from pipeline.observe.centroid import centroid_covariance_px2
 from pipeline.observe.files import tdm_text
 from pipeline.observe.observe import observe
-from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.pointing.geometry import plan_geometry, sampled_frames
 from pipeline.resolve.resolve import resolve
 from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import parse_scene
@@ -234,6 +234,19 @@ def test_each_frame_is_full_or_not_by_its_own_time() -> None:
         assert "6.69e+04 e-" in warned  # 6e4 of them dark charge
         more = f"there, and in {others} more of {len(times_s)} frames looked at"
         assert (more in warned, "more of" in warned) == (others > 0, others > 0)
+
+
+def test_one_frame_of_each_integration_time_is_looked_at() -> None:
+    """Of twelve frames the sixth alone is long, and between those that are looked at anyway."""
+    times_s = [0.02] * 5 + [2.0] + [0.02] * 6
+    sensor = night()["sensor"] | {"full_well_e": 5e4, "dark_e_per_s": 3e4}
+    dwell = {"integration_s": times_s, "frames": len(times_s), "cadence_s": 20.0}
+    plain = {"exposure": {"integration_s": 1.0}, "background": {"uniform_e_per_s": 10.0}}
+    scene = parse_scene(night(sensor=sensor, dwells=[dwell], **plain))
+    assert 5 not in sampled_frames(scene)
+    [warned] = [w for w in plan_scene(scene)["warnings"] if "no source shows" in w]
+    assert "in frame 5," in warned
+    assert "more of" not in warned
 
 
 @pytest.mark.parametrize("bend", [0.3, -0.3])
