@@ -14,6 +14,7 @@ from pipeline.physics.psf.radial import (
     intensity,
     light_beyond,
     light_table,
+    look_up,
     mean_over_directions,
 )
 from pipeline.physics.psf.seeing import Kolmogorov
@@ -49,6 +50,17 @@ def test_against_closed_form_intensity(q: float, eps: float) -> None:
     at = np.array([0.0, 3.0])
     mtf = lambda f: g.transfer(np.zeros_like(f), f)  # noqa: E731
     assert intensity(mtf, g.band_limit(1e-14), at) == pytest.approx(g.intensity(at), rel=1e-10)
+
+
+@pytest.mark.parametrize("nodes", [5, 40])
+def test_against_cubics_a_table_is_read_exactly_up_to_both_ends(nodes: int) -> None:
+    """Also before the second node and after the last but one, where no node lies beyond."""
+    cubic, top = np.polynomial.Polynomial([2.0, -0.3, 0.05, 0.004]), 3.7
+    n = nodes - 1
+    t = np.append(np.linspace(0.0, n, 9 * n, endpoint=False), [1e-9, n - 1e-6])
+    read = look_up(top * (t / n) ** 2, top, cubic(np.arange(nodes)))
+    np.testing.assert_allclose(read, cubic(t), rtol=1e-11)
+    assert look_up(np.array([top, 2.0 * top]), top, cubic(np.arange(nodes))).tolist() == [0.0, 0.0]
 
 
 def test_intensity_of_the_airy_pattern_holds_all_light() -> None:
