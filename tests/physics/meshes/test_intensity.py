@@ -130,6 +130,22 @@ def test_against_exact_overlap_of_two_plates(sun, seen, side):
     assert abs(light.intensity_m2_sr * np.pi - true) <= np.pi * light.error_m2_sr + 1e-6 * true
 
 
+@pytest.mark.parametrize("sun", [(1.6, 0.1), (1.57, 0.13)])
+def test_against_exact_overlap_what_is_looked_at_again_lies_in_the_same_shadow(sun):
+    """Of a plate that does not cover it. Forty plates below, which nobody sees, let the first look
+    be too coarse for what is left."""
+    side, x, y, z = 1.3, 6.0, 0.4, 4.0
+    hidden = [square(1.9, (0.0, 0.0, -1e-4 * (k + 1))) for k in range(40)]
+    mesh = facets(np.concatenate([*hidden, square(side, (x, y, z)), square(2.0)]))
+    s = unit(np.array([*sun, 1.0]))
+    light = mesh_intensity(mesh, [WHITE], s, UP, 0.3)
+    off = x - z * sun[0], y - z * sun[1]
+    shadow = np.prod([_overlap(-1, 1, c - 0.5 * side, c + 0.5 * side) for c in off])
+    true = s[2] * (side**2 + 4.0 - shadow) / np.pi
+    assert light.error_m2_sr <= 0.3 * light.intensity_m2_sr
+    assert abs(light.intensity_m2_sr - true) <= light.error_m2_sr
+
+
 def test_the_error_asked_for_is_met():
     rng = np.random.default_rng(5)
     mesh = facets(np.concatenate([sphere(10, 16) + rng.uniform(-2, 2, 3) for _ in range(8)]), True)
