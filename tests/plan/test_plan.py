@@ -566,3 +566,15 @@ def test_what_moving_charge_leaves_of_a_star_is_told_in_pixels(scene: Make) -> N
     cut = scene({"sensor.detector": readout, "exposure.integration_s": 3.0})
     [told] = [d.reason for d in plan_of(cut).decisions if "charge moves 5 rows/s" in d.reason]
     assert "so that it streaks 15 px along" in told
+
+
+@pytest.mark.parametrize("edges", ["full", "partial"])
+def test_the_rows_that_charge_leaves_are_those_of_the_longest_exposure(
+    scene: Make, edges: str
+) -> None:
+    """5 rows/s through 512 rows: 10 of them in 2 s, 300 in 60 s, more than all in 200 s."""
+    readout = {"readout": {"kind": "tdi", "rows_per_s": -5.0, "edges": edges}}
+    for longest_s, part in ((2.0, "0.0195"), (60.0, "0.586"), (200.0, "1")):
+        dwells = [{"integration_s": [1.0, longest_s, 0.5], "frames": 3, "cadence_s": 300.0}]
+        cut = scene({"sensor.detector": readout, "exposure.cadence_s": None, "dwells": dwells})
+        assert any(f"the outer {part} of the rows" in d.reason for d in plan_of(cut).decisions)
