@@ -179,7 +179,7 @@ def table(tmp_path, header=None, drop=(), **columns):
     given = {"fp_id": ("J", [0, 1]), "x0": ("J", [3, 4]), "y0": ("J", [5, 6]),
              "pixel_values": ("PE()", [np.float32([1.0, 2.0]), np.float32([3.0])])}  # fmt: skip
     for name, values in columns.items():
-        given[name] = (given[name][0], values)
+        given[name] = (given.get(name, "J")[0], values)
     made = []
     for name, (form, values) in given.items():
         if name not in drop:
@@ -230,6 +230,18 @@ def test_refusals_of_libraries(tmp_path):
     wish = LibraryCosmicRays(kind="library", path=str(table(tmp_path)), arrival="frames")
     with pytest.raises(BadInput, match="which frame"):
         gather_cosmic_rays(wish, SENSOR, 1.0)
+
+
+def test_whole_frames_arrive_only_from_a_library_that_says_their_size(tmp_path):
+    """Events are placed by the pixels of a frame: how many frames there are is too little."""
+    path, count, shape = table(tmp_path), {"FRAMES": 3}, {"ROWS": 20, "COLUMNS": 40}
+    wish = LibraryCosmicRays(kind="library", path=str(path), arrival="frames")
+    table(tmp_path, header=count | shape, frame=[0, 2])
+    assert gather_cosmic_rays(wish, SENSOR, 1.0) is not None
+    for lacking in (count, {"FRAMES": 3, "ROWS": 20}, shape):
+        table(tmp_path, header=lacking, frame=[0, 2])
+        with pytest.raises(BadInput, match="which frame"):
+            gather_cosmic_rays(wish, SENSOR, 1.0)
 
 
 def test_refusals_of_darks(tmp_path):
