@@ -480,6 +480,11 @@ def test_a_table_that_ends_early_is_told(tmp_path):
     for name, rows, told in (
         ("whole.npy", whole, ()),
         (
+            "third.npy",
+            whole * [1.0, 1.0, 2.0 / 3.0, 1.0],
+            ("third.npy: its BRDF ends at phi 120 deg: beyond, the value there holds",),
+        ),
+        (
             "turns.npy",
             whole * [*np.radians([1.0, 1.0, 1.0]), 1.0],
             ("turns.npy: its BRDF ends at theta_i 1.571, theta_o 1.571, phi 3.142 deg: beyond, the "
