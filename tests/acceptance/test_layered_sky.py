@@ -176,6 +176,8 @@ def test_each_star_once(reference, folders, tmp_path):
     assert len(np.unique(truth["source_id"][from_layer])) >= 10
     once = np.stack([truth["frame"], truth["catalogue"], truth["source_id"]])
     assert np.unique(once, axis=1).shape == once.shape
+    by_id = np.lexsort((truth["catalogue"], truth["source_id"], truth["frame"]))
+    assert (np.diff(by_id) == 1).all()  # whichever catalogue a row is of
     # The light is that of the main catalogue's stars and of the layer's own, each drawn alone.
     render(scene_of(str(folders["main"])), tmp_path / "main", Options("synchronous"))
     left = {k: v[-12:] for k, v in layer.items()}
