@@ -202,6 +202,28 @@ def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("coarse_signal")
+def test_objects_that_sgp4_cannot_follow_are_counted_in_all_parts(
+    objects: Elements, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of those looked at in one go or in several: as many, and none of them is seen."""
+
+    def ends(satellites: list[Satrec], *more: Any) -> tuple[np.ndarray, ...]:
+        place, speed, codes = states_together(satellites, *more)
+        lost = [s.inclo > 1.0 for s in satellites]
+        looked_at.extend(lost)
+        return place, speed, np.where(np.array(lost)[:, None], 6, codes)
+
+    w, at = watcher(lowest_elevation_deg=15.0), 60.0 * np.arange(60)
+    monkeypatch.setattr("pipeline.survey.search.states_together", ends)
+    for most in (400_000, 16 * 60):
+        looked_at: list[bool] = []
+        monkeypatch.setattr("pipeline.survey.search.MOST_STATES", most)
+        sights, failed = make_search(w, at, 5.0).of(objects)
+        assert failed == sum(looked_at) > 20
+        assert (np.array([s.inclo for s in objects.satellites()])[sights.object] <= 1.0).all()
+
+
+@pytest.mark.usefixtures("coarse_signal")
 def test_options_of_the_command() -> None:
     """Each limit leaves a part of what is found without it, and steps are as long as asked."""
     asked = ("--at", "2019-04-20T05:20:00Z", "--hours", "1.5")
