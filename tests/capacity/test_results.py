@@ -189,6 +189,7 @@ def test_figures(made: Made) -> None:
     assert f["observations_per_hour"] == pytest.approx(len(made.rows) / HOURS)
     assert f["observations_per_object"] == pytest.approx(len(made.rows) / 80)
     assert f["objects_detected"] == len({r["object"] for r in made.seen})
+    assert (f["objects"], f["detections"]) == (80, len(made.seen))
     used = [s["used_fraction"] for s in made.table("sensors")]
     assert f["sensor_time_used"] == pytest.approx(np.mean(used))
 
