@@ -1,4 +1,4 @@
-"""`catalog demo`, `fetch`, `ingest`, `verify`: every option reaches what does the work."""
+"""`catalog demo`, `fetch`, `ingest`, `cone`, `verify`: every option reaches what does the work."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from pipeline.commands.catalog import make
 from pipeline.errors import BadInput
 
 HERE = Path("x")
-DEMO, FETCH, MAKE = (f"pipeline.commands.catalog.{name}" for name in ("demo", "fetch", "make"))
+DEMO, FETCH, LOOK, MAKE = (
+    f"pipeline.commands.catalog.{name}" for name in ("demo", "fetch", "look", "make")
+)
+CORNERS = [(1.0, 2.0), (3.0, 4.0), (5.0, 0.0)]
 SAMPLE = {"seed": 2, "workers": 2, "overwrite": False}
 SKY = SAMPLE | {"faintest_g_mag": 10.0, "deep_fields": []}
 FILES = {"cones": [], "everything": True, "base_url": None, "tap_url": None, "verify": False,
@@ -60,6 +63,21 @@ CASES = {
                     INGEST | {"restart": True}),
     "ingest in its place": (f"{MAKE}.run", "ingest a -o x --overwrite", ([Path("a")], HERE),
                             INGEST | {"overwrite": True}),
+    "a cone": (f"{LOOK}.query.cone", "cone y --ra 1 --dec=-2 --radius 3",
+               ("opened y", 1.0, -2.0, 3.0, None, None), {}),
+    "options of a cone": (
+        f"{LOOK}.query.cone", "cone y --ra 1 --dec=-2 --radius 3 --faintest 9 --epoch 2031.5",
+        ("opened y", 1.0, -2.0, 3.0, 9.0, 2031.5), {},
+    ),
+    "a polygon": (
+        f"{LOOK}.query.polygon", "cone y --corner 1,2 --corner 3,4 --corner 5,0",
+        ("opened y", CORNERS, None, None), {},
+    ),
+    "options of a polygon": (
+        f"{LOOK}.query.polygon",
+        "cone y --corner 1,2 --corner 3,4 --corner 5,0 --faintest 9 --epoch 2031.5",
+        ("opened y", CORNERS, 9.0, 2031.5), {},
+    ),
     "verify": ("pipeline.commands.catalog.prove.run", "verify y --workers 3", ("opened y",),
                {"workers": 3}),
     "starlight": (f"{MAKE}.make_starlight", "starlight y --order 5 --workers 3", ("opened y",),
@@ -86,10 +104,10 @@ class At:
 
 @pytest.mark.parametrize(("target", "words", "given", "named"), CASES.values(), ids=CASES.keys())
 def test_options_reach_the_work(monkeypatch, target, words, given, named):
-    def work(*args, progress, **options):
+    def work(*args, progress=None, **options):
         raise Called(args, options)
 
-    for module in ("make", "prove"):
+    for module in ("look", "make", "prove"):
         name = f"pipeline.commands.catalog.{module}.open_catalogue"
         monkeypatch.setattr(name, lambda place: f"opened {place}")
     monkeypatch.setattr(f"{MAKE}.open_scheduler", At)
