@@ -532,6 +532,18 @@ def test_samples_with_a_seed_are_those_that_satsim_draws():
     assert rows == pytest.approx([0.09065423362854419, 0.8097172181205327])
 
 
+@pytest.mark.parametrize("seed", [0, 3, 4])
+def test_what_chance_draws_follows_the_seed_asked_for(published, tmp_path, seed):
+    """The first draw of numpy's generator of that seed, which is the scene's too."""
+    data = json.loads((published / "peers" / "satsim.json").read_text())
+    data["background"] = {"stray": {"$sample": "random.uniform", "low": 100, "high": 900}}
+    (tmp_path / "drawn.json").write_text(json.dumps(data))
+    found = read_satsim(tmp_path / "drawn.json", EPOCH, seed=seed).data
+    assert found["seed"] == seed
+    drawn = np.random.default_rng(seed).uniform(100, 900)
+    assert found["background"]["uniform_e_per_s"] == pytest.approx(drawn, rel=1e-9)
+
+
 def test_a_sampled_list_in_a_list_stands_for_its_items(satsim):
     """As in SatSim; which also reads `sample` without its sign: 100 e-/s of stray light here."""
     line = {"mode": "line", "origin": [0.5, 0.5], "velocity": [0, 0], "pe": 9}
