@@ -519,6 +519,21 @@ def test_md5sum_beside_the_inputs_is_verified(tmp_path, parts):
         ingest([folder], tmp_path / "bad")
 
 
+def test_files_that_md5sum_lists_and_that_are_not_there_are_counted(tmp_path):
+    """Of files that hold rows: a list also names what says whom to cite, and itself."""
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (folder / "one.csv").write_text(f"{HEAD}\n1,10,20,9\n")
+    digest = hashlib.md5((folder / "one.csv").read_bytes()).hexdigest()
+    others = ["_citation.txt", ".note", "MD5SUM.txt"]
+    for absent in ([], ["part8.csv.gz", "part9.csv.gz"]):
+        lines = [f"{digest}  one.csv", *(f"{'a' * 32}  {name}" for name in others + absent)]
+        (folder / "MD5SUM.txt").write_text("\n".join(lines) + "\n")
+        notes = ingest([folder], tmp_path / f"out{len(absent)}").notes
+        told = [note for note in notes if "MD5SUM" in note]
+        assert told == ["2 files that MD5SUM.txt lists are not among the sources"] * bool(absent)
+
+
 def test_a_fetched_cone_without_rows_makes_an_empty_catalogue(tmp_path):
     (tmp_path / "none.csv").write_text(HEAD + "\n")
     (tmp_path / ".fetch").mkdir()
