@@ -229,6 +229,15 @@ def test_sizes_by_rule_and_table(tle: Path, tmp_path: Path) -> None:
         assert one.diameter_m == (7.5 if name == names[0] else 5.0 if rocket else 0.1)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+def test_sizes_are_read_as_spreadsheets_write_them(tmp_path: Path, encoding: str) -> None:
+    """With a mark of the encoding before the first name, or without; lines may end in both ways."""
+    text = "norad_id,diameter_m,albedo\r\n7,7.5,\r\n8,,0.1\r\n"
+    (tmp_path / "sizes.csv").write_bytes(text.encode(encoding))
+    sizes = population_files.read_sizes(tmp_path / "sizes.csv", "sizes")
+    assert sizes == {7: (7.5, None), 8: (None, 0.1)}
+
+
 def test_sizes_of_no_object_are_told(tle: Path, tmp_path: Path) -> None:
     """By plan and product, as by studies; what meets one object is not."""
     table = tmp_path / "sizes.csv"
