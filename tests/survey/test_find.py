@@ -149,6 +149,18 @@ def test_no_night_and_no_population_are_refused() -> None:
         find(load_scene(ROOT / "examples" / "site-at-night.yaml"), FindOptions())
 
 
+@pytest.mark.usefixtures("coarse_signal")
+def test_objects_that_no_shadow_dims_are_found_beside_those_that_it_does(
+    objects: Elements,
+) -> None:
+    """Deep in the night, when low objects stand in the shadow: half of them stay bright there."""
+    mixed = replace(objects, shaded=np.arange(len(objects.shaded)) % 2 == 0)
+    w, at = watcher(lowest_elevation_deg=15.0), 30.0 * np.arange(240, 400)
+    bright = same_as_every_moment(w, at, mixed)
+    dim, _ = make_search(w, at, 5.0).of(objects)
+    assert len(bright) > len(dim) + 20
+
+
 def shown(*options: str) -> dict[str, Any]:
     """What the command finds of the example as JSON."""
     result = nightglass("find", ROOT / "examples" / "population.yaml", "--json", *options)
