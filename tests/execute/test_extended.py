@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from pipeline.physics.radiometry import collecting_area_m2
 from pipeline.plan.needs import _profiles_s
+from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.response.responses import point_curvature
+from pipeline.plan.stars.brightest import MARGIN, points_beyond
 from pipeline.route.prepare import prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
@@ -118,3 +124,17 @@ def test_forecasts_count_the_profiles_of_bright_points_alone(body, is_point):
     prepared = prepare(parse_scene(data))
     assert (prepared.spent.beyond_s > 0.0) == is_point
     assert (_profiles_s(prepared.plan, prepared.spent) > 0.0) == is_point
+
+
+def test_a_disc_shows_by_its_radius():
+    """40 m at 1,000 km and 10 m a pixel: 2 px. As a point its light is off by its curvature over
+    that radius squared; brighter than all classes, it is a point where the budget is above that."""
+    asked = scene(40.0, PSFS[0])
+    plan, g = prepare(asked).plan, plan_geometry(asked, np.zeros(1, np.int64), 0.0)
+    light = g.target_light.max() * plan.sun_rate_e_s_m2 * 0.01 * collecting_area_m2(0.065, 0.0)
+    off_e = MARGIN * light * point_curvature(plan.responses.blur) * 2.0**2
+    *others, last = plan.responses.classes
+    classes = (*others, replace(last, target_e=0.0))
+    for share, is_point in ((0.9, False), (1.1, True)):
+        r = replace(plan.responses, classes=classes, budget_e=share * off_e)
+        assert points_beyond(replace(plan, responses=r), g) == is_point
