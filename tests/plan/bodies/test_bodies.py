@@ -380,6 +380,29 @@ def test_known_lights_are_taken_and_the_mesh_is_not_asked() -> None:
         target_lights(*asked)
 
 
+def test_what_a_body_sends_besides_earthshine_is_its_sunlight(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nothing in the shadow: a mesh's earthshine there errs by a share of itself alone."""
+    asked: list[np.ndarray] = []
+
+    def ask(*given: Any) -> np.ndarray:
+        asked.append(given[5])
+        return np.zeros(len(given[5]))
+
+    monkeypatch.setattr("pipeline.plan.bodies.bodies.earthshine_m2_sr", ask)
+    ball = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.5}
+    (target,) = scene_of(ball, lighting={"earthshine_albedo": 0.3}).targets
+    at = circular(np.linspace(0.0, 5800.0, 40))
+    sun, reach = at.sun_m[0], np.full((1, 40), 2e6)
+    tt = np.full(40, 2458684.5), np.full(40, 0.375)
+    light, _, lit = target_lights([target], ["targets.0"], EPOCH, at, sun, tt, reach)
+    assert (lit.min(), lit.max()) == (0.0, 1.0)
+    from_sun = np.linalg.norm(sun - at.place_m[0], axis=-1)
+    np.testing.assert_allclose(asked[0], light[0] * reach[0] ** 2 * (from_sun / AU) ** 2, rtol=1e-9)
+    assert (asked[0][lit[0] == 0.0] == 0.0).all()
+
+
 def test_flicker_says_whether_the_nodes_suffice() -> None:
     """The light of an exposure from its nodes, against very many of them."""
     for rate, few in ((0.5, True), (170.0, False)):
