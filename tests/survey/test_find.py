@@ -24,7 +24,7 @@ from pipeline.survey.elements import Elements, synthetic_elements
 from pipeline.survey.find import STREAKED, FindOptions, FoundObjects, _offsets, find
 from pipeline.survey.search import make_search
 from pipeline.survey.sights import sights_of
-from pipeline.survey.watch import PROBE, Watcher, make_watcher
+from pipeline.survey.watch import MOST_LIFT_RAD, PROBE, Watcher, make_watcher
 from tests.command import nightglass
 from tests.survey.conftest import EPOCH, sections, watcher
 
@@ -68,6 +68,22 @@ def test_from_an_orbit_against_brute_force() -> None:
     far = synthetic_elements(Synthetic(objects=600, seed=5, smallest_m=3.0), EPOCH)
     far = far.take(far.mean_altitude_km > 3e4)
     same_as_every_moment(w, 10.0 * np.arange(600), far)
+
+
+@pytest.mark.usefixtures("coarse_signal")
+def test_a_step_is_screened_by_the_lowest_of_all_of_its_moments() -> None:
+    """On an eccentric orbit the limb sinks and rises within a step; so does the limit."""
+    orbit = {"kind": "keplerian", "semi_major_axis_m": 1.4e7, "eccentricity": 0.5,
+             "inclination_deg": 50.0, "true_anomaly_deg": 0.0}  # fmt: skip
+    observer = sections(observer={"kind": "orbit", "orbit": orbit})
+    w = make_watcher(observer, FieldOfRegard(), EPOCH, True, "sensors.0")
+    search = make_search(w, 10.0 * np.arange(301), 5.0)
+    step = np.arange(301) // search.stride
+    assert search.stride > 2
+    below = search.watch.lowest - search.coarse.lowest[step]
+    assert np.ptp(search.watch.lowest) > 0.3
+    assert below.min() >= MOST_LIFT_RAD - 1e-12
+    assert max(below[step == k].min() for k in step) <= MOST_LIFT_RAD + 1e-12
 
 
 def test_a_night_is_found_and_where_to_point() -> None:
