@@ -101,6 +101,20 @@ def test_grid_follows_a_steep_gradient(scene, curve):
     assert told(sky)["background.grid"].error_bound_e == sky.error_e
 
 
+def test_where_the_camera_turns_the_mean_is_of_three_moments(scene, curve):
+    """Before any more are asked for: Simpson's rule over both ends and the middle."""
+    wish = {"pst": {"kind": "table", "path": curve}, "inside": "extrapolate", "sun": False}
+    turning = {"mode": "rate", "boresight_ra_deg": 192.0, "boresight_dec_deg": 0.0,
+               "rate_ra_arcsec_s": 900.0, "rate_dec_arcsec_s": 0.0}  # fmt: skip
+    s, facts, inputs, g, _ = planned(scene, wish, {"observer": HIGH, "pointing": turning})
+    light, (x, y) = LightOfSky(s, camera_of(s), facts, inputs, None), np.array([[128.0], [9.0]])
+    first, middle, last = (
+        sum(light.per_pixel(g, 0, k, x, y).values()) for k in (0, g.middle, g.nodes - 1)
+    )
+    assert abs(first + last - 2.0 * middle) > 5e-4 * middle
+    np.testing.assert_allclose(light.at(g)(x, y)[0], (first + 4.0 * middle + last) / 6.0, rtol=1e-9)
+
+
 def test_sun_and_moon_behind_the_earth_give_none(scene, tmp_path):
     """In the Earth's shadow the Sun is off; the whole light of the night side's Earth is nil."""
     curve = tmp_path / "all-round.csv"  # some of the Sun's light comes from behind
