@@ -27,7 +27,7 @@ _NUMBER = r"(?=.*\d)[ \d.+-]+"
 _COLUMNS = {
     1: (
         ("satellite number", 3, 7, r" *[0-9A-Z]?\d+"),
-        ("epoch", 19, 32, r"[ \d]\d[ \d]{2}\d\.\d+ *"),
+        ("epoch", 19, 32, r"[ \d]\d(?:  |[ \d]\d)\d\.\d+ *"),
         ("first derivative of the mean motion", 34, 43, _NUMBER),
         ("second derivative of the mean motion", 45, 52, _NUMBER),
         ("drag term", 54, 61, _NUMBER),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from sgp4.api import WGS72, Satrec
@@ -138,6 +138,7 @@ def test_ephemeris_types_and_days_that_are_taken(epoch: str, kind: str) -> None:
 
 @settings(max_examples=300, deadline=None)
 @given(st.integers(1, 2), st.integers(2, 67), st.text(" 0123456789.+-", min_size=1, max_size=9))
+@example(1, 18, "191 3")  # a day with a blank among its digits
 def test_limits_mangled_elements_end_in_one_message(line: int, at: int, text: str) -> None:
     """Any characters in any column, with a good checksum: states or BadInput, never a crash."""
     lines = [LINE1, LINE2]
