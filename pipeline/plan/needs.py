@@ -227,7 +227,8 @@ def _cores_s(plan: Plan, spent: Spent) -> float:
     Once in a process, or, where all cores are more than are kept, for every window; then those
     that draw stars, and their truth's, are made again for every frame.
     """
-    r, used = plan.responses, math.ceil(_classes_used(plan, spent, plan.responses.expected[:-1]))
+    r = plan.responses
+    used = math.ceil(_classes_used(plan, spent, r.expected[:-1]))
     if not (r.classes and used):
         return 0.0
     finest = [oversampling_for(blur) for blur in r.blurs]

@@ -163,7 +163,10 @@ def test_signal_tables_are_kept_by_all_that_they_follow_from(
         {"exposure": {"integration_s": 2.5}}, {"background": {"uniform_e_per_s": 3.5}},
         {"sensor.dark_e_per_s": 1.0}, {"sensor.fill_factor": 0.9},
     ]  # fmt: skip
-    same: list[dict[str, Any]] = [{"seed": 5}, {"name": "other"}, {"sensor.full_well_e": 9e4}]
+    same: list[dict[str, Any]] = [
+        {"seed": 5}, {"name": "other"}, {"pointing.boresight_ra_deg": 50.0},
+        {"sensor.full_well_e": 9e4},
+    ]  # fmt: skip
     calls = [
         lambda of=resolve(scene(base | change)).scene: signal.signal_table(of)
         for change in (*same, *asked)

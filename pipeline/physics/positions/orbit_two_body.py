@@ -9,6 +9,9 @@ from pipeline.physics.constants import EARTH_GM_M3_S2
 
 Array = NDArray[np.float64]
 
+GROWTH = 1.5  # of what the root is looked for within, from step to step
+_EDGES = np.cumprod([1e-3, *64 * [GROWTH]])  # the steps
+
 
 def two_body(
     position_m: Array,
@@ -82,29 +85,26 @@ def _universal_anomaly(time: Array, radial: Array, alpha: Array) -> Array:
     return s
 
 
-_STEPS = np.cumprod([1e-3] + 64 * [1.5])
-
-
 def _outer_edge(time: Array, radial: Array, alpha: Array) -> Array:
     """|s| on the far side of the root for every time (...), by growth; one turn at the most.
 
     The time is the integral of the radius over s, so the root is not before |time| / apoapsis:
-    the growth begins there.
+    the growth begins a step or two before that.
     """
     parameter = np.maximum(2.0 - alpha - radial**2, 0.0)
     eccentricity = np.sqrt(np.maximum(1.0 - alpha * parameter, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = 2.0 * np.pi / np.sqrt(np.maximum(alpha, 0.0))
         surely = np.abs(time) * alpha / (1.0 + eccentricity)
-    begins = np.searchsorted(_STEPS, np.where(surely > 0.0, surely / 1.5, 0.0)) - 1
-    edge = np.minimum(_STEPS[np.maximum(begins, 0)], turn)
+    begins = np.searchsorted(_EDGES, np.where(surely > 0.0, surely / GROWTH, 0.0)) - 1
+    edge = np.minimum(_EDGES[np.maximum(begins, 0)], turn)
     sign = np.where(time < 0, -1.0, 1.0)
     for _ in range(1000):
         _, u1, u2, u3 = universal_functions(sign * edge, alpha)
         short = (np.abs(u1 + radial * u2 + u3) <= np.abs(time)) & (edge < turn)
         if not np.any(short):
             break
-        edge = np.where(short, np.minimum(1.5 * edge, turn), edge)
+        edge = np.where(short, np.minimum(GROWTH * edge, turn), edge)
     return edge
 
 
