@@ -34,7 +34,15 @@ from pipeline.physics.drawing.wings import (
     spread,
     wing_grid,
 )
-from pipeline.physics.motion.streak import POINT, Path, in_few_runs, part_within, pieces, transfer
+from pipeline.physics.motion.streak import (
+    POINT,
+    Path,
+    densest_share,
+    in_few_runs,
+    part_within,
+    pieces,
+    transfer,
+)
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import Core
 from pipeline.plan.checks import FINE_KERNELS, CheckCell, fine_ends
@@ -46,7 +54,6 @@ from pipeline.plan.response.own_paths import (
     paths_through,
     star_offsets,
 )
-from pipeline.plan.response.streaks import densest_share
 from pipeline.plan.tiles import Tile
 from pipeline.spec.scene import CELL_PX
 

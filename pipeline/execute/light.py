@@ -27,11 +27,19 @@ from pipeline.physics.drawing.quadrature import draw_quadrature
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.drawing.wings import add_wings
 from pipeline.physics.motion.points import in_fewer_points, points_along
-from pipeline.physics.motion.streak import LONGEST_PIECE_PX, POINT, Box, Path, pieces
+from pipeline.physics.motion.streak import (
+    LONGEST_PIECE_PX,
+    POINT,
+    Box,
+    Path,
+    densest_share,
+    light_near,
+    pieces,
+)
 from pipeline.physics.psf.response import stamp_at
 from pipeline.plan.plan import Plan
 from pipeline.plan.response.own_paths import own_paths
-from pipeline.plan.response.streaks import POINTS, Streak, densest_share, light_near
+from pipeline.plan.response.streaks import POINTS, Streak
 from pipeline.plan.tiles import Tile, overlap
 
 Light = tuple[Array, Array, Array, Array]  # x, y [px], light, `crowd_light` [e-] of stars (n,)
@@ -179,10 +187,11 @@ def draw_along(
         for i, path in enumerate(own):
             place = float(x[i]), float(y[i]), float(light[i])
             k, reach_px = int(classes[mine[i]]), plan.responses.fades_px
+            if _draw_points(plan, image, tile, k, path, *place, band):
+                continue
             if k < len(plan.responses.classes):
                 path = in_fewer_points(path, band)
-            if not _draw_points(plan, image, tile, k, path, *place, band):
-                _draw_path(plan, image, tile, k, path, *place, reach_px)
+            _draw_path(plan, image, tile, k, path, *place, reach_px)
 
 
 def _draw_points(
@@ -208,9 +217,7 @@ def _draw_points(
     if near_e * core.point_error > POINTS * plan.allowed_e(along_e):
         return False
     at_x, at_y, share = points_along(path, band)
-    near = _reaches(tile, core.radius_px, POINT, at_x + x, at_y + y)
-    each_e = light_e * share[near]
-    places = at_x[near] + x, at_y[near] + y, each_e, each_e
+    places = at_x + x, at_y + y, light_e * share, light_e * share
     _draw_piece(plan, image, tile, k, core.point_phases, POINT, places, cubic=True)
     return True
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, StarTable, select
 from pipeline.execute.guards import LOOKED_AT, guard_places
-from pipeline.physics.motion.streak import Path, curve_through, within
+from pipeline.physics.motion.streak import Path, curve_through, densest_share, within
 from pipeline.physics.positions.apparent import star_astrometric, star_proper
 from pipeline.physics.positions.focal_plane import project
 from pipeline.physics.positions.refraction import refract
@@ -28,7 +28,6 @@ from pipeline.plan.response.streaks import (
     MERGE_TOLERANCE_PX,
     Streak,
     StreakPlan,
-    densest_share,
     zone_streak,
 )
 from pipeline.plan.tiles import distance_px

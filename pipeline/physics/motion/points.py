@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 
 SEEN = 1e-9  # of a source's light at one frequency: what the nodes of a segment may err by
 MOST = 48  # nodes of a segment; longer ones are cut
-MANY = 32  # segments from which on points may be fewer
 MORE = 2  # nodes that a run which bends gets beyond those of a straight one
 ASIDE = 0.25  # of what segments may be off: what points for them may err by
 DIRECTIONS = 4  # in which points and segments are compared
@@ -31,45 +30,73 @@ def points_along(path: Path, band: float) -> tuple[Array, Array, Array]:
     """Places x, y [px] and shares of the light (n,) that stand for a path.
 
     band : highest frequency of the image at rest [cycles/px]. Up to it, light at the points has the
-    transfer function of light along the path, to SEEN.
+        transfer function of light along the path, to SEEN; where the path itself stands for another
+        within `path.off_px`, to ASIDE of what it would differ by if all light moved so far.
+
+    The nodes of one Gauss-Legendre rule stand on each run of segments, at equal shares of the light
+    for equal steps of the rule; runs that it does not serve, looked at in DIRECTIONS at the band
+    itself, are halved, and long segments cut.
     """
-    x, y, share = _on_segments(path.x_px, path.y_px, path.weight, band, _served_rad(), *_rules())
+    off = ASIDE * 2.0 * np.pi * band * path.off_px
+    x, y, share = _on_runs(path.x_px, path.y_px, path.weight, band, off, _served_rad(), *_rules())
     return x, y, share
 
 
-@njit(cache=True, nogil=True)
-def _on_segments(x, y, weight, band, served_rad, t, w):
-    """Points (3, n) on the lit segments, x, y and light: those of fewest cuts first, and of them
-    those of fewest nodes."""
-    cuts, rank = np.empty(len(weight), np.int64), np.empty(len(weight), np.int64)
-    total, used, now = 0, 0, 0
-    for k in range(len(weight)):
-        phase_rad = math.pi * band * math.hypot(x[k + 1] - x[k], y[k + 1] - y[k])
-        cuts[k] = max(1, math.ceil(phase_rad / served_rad[-1]))
-        nodes = np.searchsorted(served_rad, phase_rad / cuts[k]) + 1
-        rank[k] = cuts[k] * (MOST + 1) + nodes if weight[k] != 0.0 else 0
-        total += cuts[k] * nodes if weight[k] != 0.0 else 0
-    out = np.empty((3, total))
-    while used < total:
-        now = _next_above(now, rank)
-        n = now % (MOST + 1)
-        for k in range(len(weight)):
-            if rank[k] == now:
-                end = used + cuts[k] * n
-                of_segment = x[k : k + 2], y[k : k + 2], weight[k]
-                _place_cuts(*of_segment, t[n - 1, :n], w[n - 1, :n], out[:, used:end])
-                used = end
-    return out
+def in_fewer_points(path: Path, band: float) -> Path:
+    """A path that bends in many short segments as the fewer points of `points_along`, each a
+    segment of no length; or the path itself, where points are not fewer."""
+    if 2.0 * points_per_px(band) * path.length_px > path.segments:
+        return path
+    x, y, share = points_along(path, band)
+    if not len(x) or 2 * len(x) > path.segments:
+        return path
+    weight = np.zeros(2 * len(share) - 1)
+    weight[::2] = share
+    return Path(np.repeat(x, 2), np.repeat(y, 2), weight)
 
 
 @njit(cache=True, nogil=True)
-def _next_above(now, ranks):
-    """The least of some numbers that is above one; 0 where there is none."""
-    found = 0
-    for rank in ranks:
-        if rank > now and (found == 0 or rank < found):
-            found = rank
-    return found
+def _on_runs(x, y, weight, band, off, served_rad, t, w):
+    """Points (3, n) on runs of lit segments, x, y and light, in the order of the path."""
+    count = len(weight)
+    light, way, most = np.zeros(count + 1), np.zeros(count + 1), np.zeros(count + 1, np.int64)
+    for k in range(count):  # up to each node; most : points of its segments, each by itself
+        light[k + 1] = light[k] + weight[k]
+        way[k + 1] = way[k] + math.hypot(x[k + 1] - x[k], y[k + 1] - y[k])
+        cuts, n = _rule_of(band, way[k + 1] - way[k], served_rad)
+        most[k + 1] = most[k] + (cuts * n if weight[k] != 0.0 else 0)
+    out, used = np.empty((3, most[count])), 0
+    left = [(0, count)]
+    while left:
+        first, last = left.pop()
+        of_run, own = light[last] - light[first], most[last] - most[first]
+        if own == 0:
+            continue
+        cuts, n = _rule_of(band, way[last] - way[first], served_rad)
+        if last - first == 1:
+            points = out[:, used : used + own]
+            _place_cuts(x[first:], y[first:], weight[first], t[n - 1, :n], w[n - 1, :n], points)
+            used += own
+            continue
+        n += MORE
+        if cuts == 1 and n <= min(own - 1, MOST) and off > 0.0:
+            points = out[:, used : used + n]
+            _place_rule(x, y, weight, light, first, last, t[n - 1], w[n - 1], points)
+            if _off_run(x, y, weight, first, last, points, band) <= off * of_run:
+                used += n
+                continue
+        middle = (first + last) // 2
+        left.append((middle, last))
+        left.append((first, middle))
+    return out[:, :used]
+
+
+@njit(cache=True, nogil=True)
+def _rule_of(band, length_px, served_rad):
+    """Into how many cuts a way is cut, and how many nodes serve each."""
+    phase_rad = math.pi * band * length_px
+    cuts = max(1, math.ceil(phase_rad / served_rad[-1]))
+    return cuts, int(np.searchsorted(served_rad, phase_rad / cuts)) + 1
 
 
 @njit(cache=True, nogil=True)
@@ -82,59 +109,6 @@ def _place_cuts(x, y, light, t, w, out):
             out[0, of] = x[0] + at * (x[1] - x[0])
             out[1, of] = y[0] + at * (y[1] - y[0])
             out[2, of] = light * (0.5 * w[i] / cut)
-
-
-def in_fewer_points(path: Path, band: float) -> Path:
-    """A path that bends in many short segments as fewer points, each a segment of no length; or
-    the path itself, where points are not fewer.
-
-    band : highest frequency of the image at rest [cycles/px]. Up to it, the transfer function
-        differs by at most ASIDE of what it would if all light moved by `path.off_px`.
-
-    The nodes of one Gauss-Legendre rule stand on each run of segments, at equal shares of the light
-    for equal steps of the rule; runs that it does not serve, looked at in DIRECTIONS at the band
-    itself, are halved.
-    """
-    if path.segments < MANY:
-        return path
-    off = max(SEEN, ASIDE * 2.0 * np.pi * band * path.off_px)
-    x, y, share = _on_runs(path.x_px, path.y_px, path.weight, band, off, _served_rad(), *_rules())
-    if not len(x) or 2 * len(x) > path.segments:
-        return path
-    weight = np.zeros(2 * len(share) - 1)
-    weight[::2] = share
-    return Path(np.repeat(x, 2), np.repeat(y, 2), weight)
-
-
-@njit(cache=True, nogil=True)
-def _on_runs(x, y, weight, band, off, served_rad, t, w):
-    """Points (3, n) on runs of segments, x, y and light; none where a segment asks for too many."""
-    count = len(weight)
-    light, way = np.zeros(count + 1), np.zeros(count + 1)  # up to each node
-    for k in range(count):
-        light[k + 1] = light[k] + weight[k]
-        way[k + 1] = way[k] + math.hypot(x[k + 1] - x[k], y[k + 1] - y[k])
-    out, used = np.empty((3, count + MOST)), 0
-    left = [(0, count)]
-    while left:
-        first, last = left.pop()
-        of_run = light[last] - light[first]
-        if of_run <= 0.0:
-            continue
-        n = int(np.searchsorted(served_rad, math.pi * band * (way[last] - way[first]))) + 1
-        n += MORE if last - first > 1 else 0
-        if n <= MOST and used + n <= count and n <= last - first:
-            points = out[:, used : used + n]
-            _place_rule(x, y, weight, light, first, last, t[n - 1], w[n - 1], points)
-            if _off_run(x, y, weight, first, last, points, band) <= off * of_run:
-                used += n
-                continue
-        if last - first == 1:
-            return out[:, :0]
-        middle = (first + last) // 2
-        left.append((middle, last))
-        left.append((first, middle))
-    return out[:, :used]
 
 
 @njit(cache=True, nogil=True)

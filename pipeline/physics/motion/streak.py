@@ -82,32 +82,85 @@ def path_through(x_px: Array, y_px: Array, weight: Array, tolerance_px: float) -
 def curve_through(x_px: Array, y_px: Array, weight: Array, tolerance_px: float) -> Path:
     """As `path_through`, with more nodes where the path bends smoothly by more than the tolerance
     between those it has."""
-    x, y, w = x_px, y_px, weight
-    halvings, bend_px = 0, _bend_px(x, y)
-    while bend_px > tolerance_px and halvings < HALVINGS:
-        x, y, w = _halved(x), _halved(y), np.repeat(0.5 * w, 2)
-        halvings, bend_px = halvings + 1, bend_px / 4.0
-    made = path_through(x, y, w, tolerance_px)
+    x, y = np.ascontiguousarray(x_px, float), np.ascontiguousarray(y_px, float)
+    x, y, bend_px = _between(x, y, tolerance_px)
+    each = (len(x) - 1) // (len(x_px) - 1)
+    made = path_through(x, y, np.repeat(weight / each, each), tolerance_px)
     return replace(made, off_px=max(tolerance_px, bend_px))
 
 
-def _bend_px(x_px: Array, y_px: Array) -> float:
+@njit(cache=True, nogil=True)
+def _between(x, y, tolerance_px):
+    """Nodes x and y (k n + 1,) of a bend at so many smaller steps that straight lines between them
+    are within the tolerance, or HALVINGS times halved, and how far these are off."""
+    halvings, bend_px = 0, _bend_px(x, y)
+    while bend_px > tolerance_px and halvings < HALVINGS:
+        x, y, halvings, bend_px = _halved(x), _halved(y), halvings + 1, bend_px / 4.0
+    return x, y, bend_px
+
+
+@njit(cache=True, nogil=True)
+def _bend_px(x, y):
     """How far a path is from straight lines between nodes (n + 1,), where a cubic is much nearer;
     else 0: random motion and the corners of a table are no bend."""
-    bend, rest = (np.hypot(np.diff(x_px, k), np.diff(y_px, k)) for k in (2, 4))
-    off_px = float(bend.max(initial=0.0)) / 8.0
-    return off_px if len(rest) > 0 and rest.max() * 3 / 128 < SMOOTH * off_px else 0.0
+    if len(x) < 5:
+        return 0.0
+    bend, rest = 0.0, 0.0
+    for i in range(len(x) - 2):
+        bend = max(
+            bend, math.hypot(x[i] - 2.0 * x[i + 1] + x[i + 2], y[i] - 2.0 * y[i + 1] + y[i + 2])
+        )
+    for i in range(len(x) - 4):
+        rest = max(rest, math.hypot(_fourth(x, i), _fourth(y, i)))
+    off_px = bend / 8.0
+    return off_px if rest * 3.0 / 128.0 < SMOOTH * off_px else 0.0
 
 
-def _halved(v: Array) -> Array:
+@njit(cache=True, nogil=True)
+def _fourth(v, i):
+    """The fourth difference of the nodes from the i-th on."""
+    return v[i] - 4.0 * v[i + 1] + 6.0 * v[i + 2] - 4.0 * v[i + 3] + v[i + 4]
+
+
+@njit(cache=True, nogil=True)
+def _halved(v):
     """Nodes (2 n + 1,) at half the steps: those between lie on the cubic of the four around them
     (Abramowitz and Stegun, 25.2.13), the outermost on that of the four beside them."""
-    out = np.empty(2 * len(v) - 1)
+    n = len(v)
+    out = np.empty(2 * n - 1)
     out[::2] = v
-    out[3:-3:2] = (9.0 * (v[1:-2] + v[2:-1]) - v[:-3] - v[3:]) / 16.0
-    for end, near in ((1, v[:4]), (-2, v[:-5:-1])):
-        out[end] = near @ (5.0, 15.0, -5.0, 1.0) / 16.0
+    for i in range(1, n - 2):
+        out[2 * i + 1] = (9.0 * (v[i] + v[i + 1]) - v[i - 1] - v[i + 2]) / 16.0
+    out[1] = (5.0 * v[0] + 15.0 * v[1] - 5.0 * v[2] + v[3]) / 16.0
+    out[2 * n - 3] = (5.0 * v[n - 1] + 15.0 * v[n - 2] - 5.0 * v[n - 3] + v[n - 4]) / 16.0
     return out
+
+
+def densest_share(x_px: Array, y_px: Array, weight: Array) -> float:
+    """Largest part of a path's light that lies on one px of it: 1 where it is at rest.
+
+    x_px, y_px : (n + 1,) nodes; weight : (n,) light of each step, sum 1
+    """
+    return float(_densest(*(np.ascontiguousarray(v, float) for v in (x_px, y_px, weight))))
+
+
+@njit(cache=True, nogil=True)
+def _densest(x, y, weight):
+    most = 0.0
+    for k in range(len(weight)):
+        length_px = math.hypot(x[k + 1] - x[k], y[k + 1] - y[k])
+        most = max(most, weight[k] / max(length_px, weight[k], 1e-300))
+    return most
+
+
+def light_near(path: Path, radius_px: float) -> tuple[float, float]:
+    """Largest parts of a path's light within a radius of a pixel, and on one px of the path.
+
+    What is outside of a circle is at least as long as it is from there to the path's ends.
+    """
+    share = densest_share(path.x_px, path.y_px, path.weight)
+    ends_px = math.hypot(path.x_px[-1] - path.x_px[0], path.y_px[-1] - path.y_px[0])
+    return min(1.0, share * (2.0 * radius_px + path.length_px - ends_px)), share
 
 
 def in_few_runs(path: Path, tolerance_px: float) -> Path:

@@ -26,9 +26,7 @@ __all__ = [
     "Streak",
     "StreakPlan",
     "centroid",
-    "densest_share",
     "exact_path",
-    "light_near",
     "merged_px",
     "plan_streaks",
     "resting",
@@ -261,25 +259,6 @@ def resting(plan: StreakPlan, curvature: float, slope: float) -> StreakPlan:
     error = curvature * 5.0 * plan.longest_px**2 / 4.0 + slope * min(plan.own_px, plan.spread_px)
     made = replace(plan, at_rest=error)
     return replace(made, own_from_e_px=_light_from(made.off_px, made))
-
-
-def densest_share(x_px: Array, y_px: Array, weight: Array) -> float:
-    """Largest part of a path's light that lies on one px of it: 1 where it is at rest.
-
-    x_px, y_px : (n + 1,) nodes; weight : (n,) light of each step, sum 1
-    """
-    length_px = np.hypot(np.diff(x_px), np.diff(y_px))
-    return float((weight / np.maximum(length_px, np.maximum(weight, 1e-300))).max())
-
-
-def light_near(path: Path, radius_px: float) -> tuple[float, float]:
-    """Largest parts of a path's light within a radius of a pixel, and on one px of the path.
-
-    What is outside of a circle is at least as long as it is from there to the path's ends.
-    """
-    share = densest_share(path.x_px, path.y_px, path.weight)
-    ends_px = math.hypot(path.x_px[-1] - path.x_px[0], path.y_px[-1] - path.y_px[0])
-    return min(1.0, share * (2.0 * radius_px + path.length_px - ends_px)), share
 
 
 def merged_px(

@@ -19,7 +19,14 @@ from pipeline.arrays import Geometry
 from pipeline.physics.drawing.quadrature import NEAR_PX, drawn_s
 from pipeline.physics.drawing.spectral_plan import CROWD_PX
 from pipeline.physics.motion.points import in_fewer_points, points_per_px
-from pipeline.physics.motion.streak import LONGEST_PIECE_PX, POINT, Path, curve_through
+from pipeline.physics.motion.streak import (
+    LONGEST_PIECE_PX,
+    POINT,
+    Path,
+    curve_through,
+    densest_share,
+    light_near,
+)
 from pipeline.physics.psf.product import is_product, product_table
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import oversampling_for
@@ -34,7 +41,7 @@ from pipeline.plan.response.responses import (
     stamp_s,
     table_bytes,
 )
-from pipeline.plan.response.streaks import POINTS, Streak, densest_share, light_near, zone_streak
+from pipeline.plan.response.streaks import POINTS, Streak, zone_streak
 from pipeline.plan.stars.field_stars import StarCounts
 from pipeline.plan.tiles import BLOCK_PX
 

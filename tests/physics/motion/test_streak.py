@@ -12,6 +12,7 @@ from pipeline.physics.motion.streak import (
     POINT,
     Path,
     curve_through,
+    densest_share,
     in_few_runs,
     part_within,
     path_through,
@@ -297,3 +298,15 @@ def test_pieces_are_counted_as_they_are_cut() -> None:
     told = [(piece, share) for piece, share, count in piece_counts(path) for _ in range(count)]
     assert told == cut
     assert len(cut) == 7
+
+
+def test_the_densest_share_of_a_path_is_where_it_rests_or_is_slowest() -> None:
+    """Of a px of it, never more than all light; that of a straight even run is 1 / length."""
+    even = np.linspace(0.0, 50.0, 9), np.zeros(9), np.full(8, 1.0 / 8.0)
+    assert densest_share(*even) == pytest.approx(1.0 / 50.0)
+    resting = np.array([0.0, 100.0, 100.0]), np.zeros(3), np.array([0.2, 0.8])
+    assert densest_share(*resting) == 1.0
+    slower = np.array([0.0, 30.0, 40.0]), np.zeros(3), np.array([0.5, 0.5])
+    assert densest_share(*slower) == pytest.approx(0.05)
+    point = np.zeros(3), np.zeros(3), np.array([0.0, 1.0])
+    assert densest_share(*point) == 1.0

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.integrate import simpson
 
 from pipeline.physics.drawing.quadrature import draw_quadrature
-from pipeline.physics.motion.streak import HALVINGS, POINT, Path
+from pipeline.physics.motion.streak import HALVINGS, POINT, Path, densest_share
 from pipeline.physics.psf.pupil import Blur, Gaussian
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, star_paths
 from pipeline.plan.response.own_paths import own_paths, star_offsets
@@ -28,7 +28,6 @@ from pipeline.plan.response.streaks import (
     StreakPlan,
     _light_from,
     centroid,
-    densest_share,
     exact_path,
     merged_px,
     plan_streaks,
@@ -231,15 +230,3 @@ def test_wide_fields_get_more_pieces_or_zones(scene: Make) -> None:
     assert parts == sorted(parts)
     assert parts[-1] > parts[0]
     assert all(p.spread_px <= SPREAD_TOLERANCE_PX for p in plans)
-
-
-def test_the_densest_share_of_a_path_is_where_it_rests_or_is_slowest() -> None:
-    """Of a px of it, never more than all light; that of a straight even run is 1 / length."""
-    even = np.linspace(0.0, 50.0, 9), np.zeros(9), np.full(8, 1.0 / 8.0)
-    assert densest_share(*even) == pytest.approx(1.0 / 50.0)
-    resting = np.array([0.0, 100.0, 100.0]), np.zeros(3), np.array([0.2, 0.8])
-    assert densest_share(*resting) == 1.0
-    slower = np.array([0.0, 30.0, 40.0]), np.zeros(3), np.array([0.5, 0.5])
-    assert densest_share(*slower) == pytest.approx(0.05)
-    point = np.zeros(3), np.zeros(3), np.array([0.0, 1.0])
-    assert densest_share(*point) == 1.0
