@@ -73,3 +73,20 @@ def test_points_of_points_are_the_same() -> None:
     np.testing.assert_array_equal(x, few.x_px[:-1][few.weight > 0.0])
     np.testing.assert_array_equal(y, few.y_px[:-1][few.weight > 0.0])
     np.testing.assert_array_equal(share, few.weight[few.weight > 0.0])
+
+
+@pytest.mark.parametrize("band", [0.5, 1.5])
+def test_few_long_segments_of_a_bend_share_their_points(band: float) -> None:
+    """Some segments of 2 px: far fewer points than each of them by itself asks for."""
+    path = path_of(BENT, 1e-3)
+    assert 6 <= path.segments < 32
+    x, y, share = points_along(path, band)
+    weight = np.zeros(2 * len(share) - 1)
+    weight[::2] = share
+    few = Path(np.repeat(x, 2), np.repeat(y, 2), weight)
+    assert apart(path, few, band) <= 2.0 * max(1e-9, 0.5 * np.pi * band * path.off_px)
+    assert share.sum() == pytest.approx(1.0, abs=1e-12)
+    x_px, y_px = path.x_px, path.y_px
+    cut = [slice(i, i + 2) for i in range(path.segments)]
+    alone = [Path(x_px[at], y_px[at], np.ones(1)) for at in cut]
+    assert len(x) < 0.6 * sum(len(points_along(one, band)[0]) for one in alone)
