@@ -217,7 +217,9 @@ def _draw_points(
     if near_e * core.point_error > POINTS * plan.allowed_e(along_e):
         return False
     at_x, at_y, share = points_along(path, band)
-    places = at_x + x, at_y + y, light_e * share, light_e * share
+    near = _reaches(tile, core.radius_px, POINT, at_x + x, at_y + y)
+    each_e = light_e * share[near]
+    places = at_x[near] + x, at_y[near] + y, each_e, each_e
     _draw_piece(plan, image, tile, k, core.point_phases, POINT, places, cubic=True)
     return True
 

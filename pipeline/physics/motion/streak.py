@@ -146,6 +146,7 @@ def densest_share(x_px: Array, y_px: Array, weight: Array) -> float:
 
 @njit(cache=True, nogil=True)
 def _densest(x, y, weight):
+    """`densest_share` of nodes and weights as they lie in memory."""
     most = 0.0
     for k in range(len(weight)):
         length_px = math.hypot(x[k + 1] - x[k], y[k + 1] - y[k])
