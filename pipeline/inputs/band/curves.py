@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import BadInput, Damaged
-from pipeline.inputs.reference import solar_bands, stellar_boxes
+from pipeline.inputs.reference import boxes
 from pipeline.kept import kept
 from pipeline.lazily import fits
 from pipeline.physics.radiometry import (
@@ -243,7 +243,7 @@ def _filter_text(name: str) -> str:
 def solar_spectrum() -> tuple[Array, Array, str, str]:
     """The Sun at 1 au: wavelength (n,) m, irradiance (n,) W/m2/m, its source and its error.
 
-    ASTM E490-00a from the user's data folder, else box means of it (`reference.solar_bands`)
+    ASTM E490-00a from the user's data folder, else box means of it (`boxes.sun`)
     joined smoothly. The latter, against the whole table, over box bands between 300 and 1200 nm:
     0.005% for 400 to 900 nm; bands of 50 nm or more 0.13% rms and at most 1.0% (0.4% beyond
     400 nm); of 100 nm or more at most 0.4%.
@@ -251,8 +251,9 @@ def solar_spectrum() -> tuple[Array, Array, str, str]:
     path = data_file(SOLAR_TABLE)
     scale_text = "total 1366.1 W/m2, 0.4% above the nominal 1361 W/m2 (IAU 2015 B3)"
     if path is None:
-        edges = np.array(solar_bands.EDGES_NM) * 1e-9
-        means = np.array(solar_bands.IRRADIANCE_MW_M2_NM) * 1e6
+        embedded = boxes.sun()
+        edges = np.array(embedded.edges_nm) * 1e-9
+        means = np.array(embedded.columns["irradiance_mw_m2_nm"]) * 1e6
 
         def joined() -> dict[str, Array]:
             made = spectrum_from_box_means(edges, means, 1e-9)
@@ -277,15 +278,16 @@ def stellar_library() -> tuple[list[Spectrum], str]:
 
     Each is (spectral type, wavelength (n,) m, F_lambda (n,) in any unit). From the user's data
     folder (A. J. Pickles 1998, PASP 110, 863: UVKLIB), else 29 of its stars in 31 boxes
-    (`reference.stellar_boxes`).
+    (`boxes.stars`).
     """
     folder = data_file(PICKLES_FOLDER)
     if folder is not None:
         library = _pickles_library(folder)
         return library, f"{len(library)} spectra of Pickles 1998 (UVKLIB)"
-    edges = np.array(stellar_boxes.EDGES_NM) * 1e-9
+    embedded = boxes.stars()
+    edges = np.array(embedded.edges_nm) * 1e-9
     library = []
-    for name, mmag in stellar_boxes.RELATIVE_MMAG.items():
+    for name, mmag in embedded.columns.items():
         photons = 10.0 ** (-0.4e-3 * np.array(mmag, dtype=np.float64))
         wavelength, smooth = spectrum_from_box_means(edges, photons, 2e-9)
         library.append((name, wavelength, smooth / (wavelength * 1e9)))
@@ -297,7 +299,7 @@ def stellar_library_digest() -> str:
     digest = hashlib.sha256()
     folder = data_file(PICKLES_FOLDER)
     if folder is None:
-        digest.update(repr((stellar_boxes.EDGES_NM, stellar_boxes.RELATIVE_MMAG)).encode())
+        digest.update(repr(boxes.stars()).encode())
         return digest.hexdigest()
     for path in sorted(folder.glob("*.fits")):
         digest.update(path.name.encode() + path.read_bytes())

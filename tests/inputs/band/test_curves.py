@@ -10,7 +10,7 @@ from astropy.io import fits
 
 from catalog_tools.errors import BadInput, Damaged
 from pipeline.inputs.band import curves
-from pipeline.inputs.reference import stellar_boxes
+from pipeline.inputs.reference import boxes
 from pipeline.physics.radiometry import (
     ResponseCurve,
     ab_photon_rate,
@@ -216,8 +216,9 @@ def test_against_the_whole_library_every_embedded_spectrum(real):
     """Mean photon flux of each box, of each of the 29 types: to the thousandth it is kept to."""
     folder = real / "stellar_spectra" / "pickles_uvk"
     files = {str(t): str(f) for f, t in fits.getdata(folder / "pickles_uk.fits", 1)}
-    edges = np.array(stellar_boxes.EDGES_NM)
-    for name, kept in stellar_boxes.RELATIVE_MMAG.items():
+    embedded = boxes.stars()
+    edges = np.array(embedded.edges_nm)
+    for name, kept in embedded.columns.items():
         table = fits.getdata(folder / f"{files[name]}.fits", 1)
         nm, photons = table["WAVELENGTH"] / 10.0, table["WAVELENGTH"] * table["FLUX"]
         means = []
@@ -253,9 +254,10 @@ def test_every_spectrum_of_the_library_counts_in_its_digest(tmp_path, monkeypatc
         found.append(curves.stellar_library_digest())
         assert found[-1] not in found[:-1]
 
-    monkeypatch.setattr(stellar_boxes, "RELATIVE_MMAG", {"A0V": (0.0, 1.0)})
+    one = boxes.Boxes(boxes.stars().edges_nm, {"A0V": (0.0, 1.0)})
+    monkeypatch.setattr(boxes, "stars", lambda: one)
     now()
-    monkeypatch.setattr(stellar_boxes, "EDGES_NM", (300.0, 400.0, 500.0))
+    monkeypatch.setattr(boxes, "stars", lambda: one._replace(edges_nm=(300.0, 400.0, 500.0)))
     now()
     folder = tmp_path / "stellar_spectra" / "pickles_uvk"
     folder.mkdir(parents=True)
