@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,10 +11,12 @@ from numpy.typing import NDArray
 from catalog_tools.documents import JsonObject
 from catalog_tools.engine.schedulers import open_scheduler
 from pipeline.errors import BadInput
+from pipeline.inputs.pointing_tables import gather_pointing
 from pipeline.physics.constants import DAY_S, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import unaberrate
 from pipeline.physics.positions.times import elapsed_s, format_utc, instants, parse_utc
 from pipeline.physics.vectors import to_angles
+from pipeline.plan.pointing.attitude_motion import motion_plan
 from pipeline.plan.targets.orbit_age import old_elements, sensor_remarks
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
@@ -90,6 +93,7 @@ def find(scene: Scene, request: FindOptions, workers: int | None = None) -> Foun
     objects = sorted((row for k in sorted(found) for row in found[k]), key=lambda o: -o["snr"])
     times = [_utc(watcher, t) for t in offsets[[0, -1]]]
     notes = _notes(watcher, search, census, request) + _aged(watcher, elements, offsets)
+    notes += _not_held(scene)
     return FoundObjects(objects, len(elements), times[0], times[1], notes)
 
 
@@ -100,6 +104,20 @@ def _aged(watcher: Watcher, elements: Elements, offsets: Array) -> list[str]:
     rev_day = elements.mean[:, 5] * 1440.0 / (2.0 * np.pi)
     own = [f"the sensor: {told}" for told in sensor_remarks(watcher.resolved.scene, *span)]
     return own + old_elements(elements.name.tolist(), days, rev_day, span, "objects")
+
+
+def _not_held(scene: Scene) -> list[str]:
+    """That the pointing is not held, by how much, and that no SNR counts it."""
+    model = scene.pointing.attitude
+    if model is None:
+        return []
+    told, motion, drift = [], motion_plan(gather_pointing(scene)), model.drift
+    if motion is not None:
+        told.append(f"{motion.path_px:.2g} px rms at random, {motion.blur_px:.2g} px of blur")
+    if drift is not None:
+        told.append(f"a drift of {math.hypot(drift.x_arcsec_s, drift.y_arcsec_s):.3g} arcsec/s")
+    size = f" ({', '.join(told)})" if told else ""
+    return [f"SNR as if the camera were held: the scene's pointing.attitude{size} is not counted"]
 
 
 def _batch(shared: tuple[Search, Elements], first: int) -> tuple[list[JsonObject], int]:

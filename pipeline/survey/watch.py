@@ -35,6 +35,7 @@ from pipeline.resolve.resolve import resolve
 from pipeline.spec.load import parse_scene
 from pipeline.spec.pointing.observer import GroundObserver, OrbitObserver
 from pipeline.spec.pointing.pointing import Pointing
+from pipeline.spec.sensor.detector import TimeDelay
 from pipeline.spec.study import FieldOfRegard
 from pipeline.survey.signal import SignalTable, signal_table
 from pipeline.survey.sky import SkyBehind, sky_behind
@@ -58,6 +59,10 @@ PROBE = {  # a target, so that the Sun's light in the band is worked out
     },
     "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2},
 }
+STILL_CHARGE = (
+    "frame_transfer, rolling, or no readout: how moving charge lies to an object's path is known "
+    "where a scene points, which `nightglass observe` counts, not wherever a sensor may look"
+)
 Epoch = tuple[float, float]
 
 
@@ -316,6 +321,9 @@ def make_watcher(
     scene = parse_scene(stub)
     if not isinstance(scene.observer, GroundObserver | OrbitObserver):
         raise BadInput(f"{field}observer.kind", scene.observer.kind, "ground or orbit")
+    detector = scene.sensor.detector
+    if detector is not None and isinstance(detector.readout, TimeDelay):
+        raise BadInput("sensor.detector.readout.kind", detector.readout.kind, STILL_CHARGE)
     read = read_files(scene)
     up = {"pointing": zenith_pointing(read)}
     steady = None

@@ -246,6 +246,8 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"cameras.0.sensor.quantum_efficiency": "no.csv"},
      "cameras.0.sensor.quantum_efficiency: '.*no.csv'"),
     ({"detection": {"frames_needed": 9}}, "detection.frames_needed: 9"),
+    ({"cameras.0.sensor.detector": {"readout": {"kind": "tdi", "rows_per_s": 40.0}}},
+     "^cameras.0.sensor.detector.readout.kind: 'tdi' is not accepted; allowed: frame_transfer"),
     ({"duration_h": 24 * 3000, "catalogue": {"synthetic": {"objects": 50_000}}},
      "study: '[0-9]+ h of one core' is not accepted; allowed: up to 24 h"),
 ]  # fmt: skip

@@ -481,6 +481,20 @@ def test_notes_say_which_limits_hold() -> None:
         assert find(load_scene(path, changes), wish).notes[1] == told + moon
 
 
+def test_a_pointing_that_is_not_held_is_told_with_its_size() -> None:
+    """Fast jitter is all blur: its rms over what a pixel sees. Of a held camera nothing is said."""
+    attitude = {"drift": {"x_arcsec_s": 3.0, "y_arcsec_s": -4.0},
+                "jitter": [{"kind": "white", "rms_arcsec": 5.0, "low_hz": 1e5, "high_hz": 2e5}]}
+    path, wish = ROOT / "examples" / "population.yaml", FindOptions(at="2019-04-20T06:00:00Z")
+    steady, moving = (
+        load_scene(path, [f"pointing.attitude={json.dumps(model)}"]) for model in (None, attitude)
+    )
+    assert not any("attitude" in note for note in find(steady, wish).notes)
+    [told] = [note for note in find(moving, wish).notes if "attitude" in note]
+    blur_px = 5.0 / 3600.0 / np.degrees(moving.sensor.ifov_rad)
+    assert f"0 px rms at random, {blur_px:.2g} px of blur, a drift of 5 arcsec/s" in told
+
+
 def along_orbit(o: dict[str, Any]) -> dict[str, float]:
     """Where an object stands in the local frame of a state at the epoch, 1 s later."""
     (place,), (motion,) = two_body(np.array(PLACE), np.array(SPEED), np.array([1.0]))
