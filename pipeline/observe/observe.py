@@ -22,6 +22,7 @@ from pipeline.observe.on_axis import on_axis_light_e, on_axis_snr, on_axis_strea
 from pipeline.observe.reasons import REASONS, seen_of
 from pipeline.observe.times import Times, times_of
 from pipeline.physics.positions.times import format_utc
+from pipeline.plan.pointing.attitude_motion import motion_plan
 from pipeline.plan.pointing.geometry import (
     FEWEST_NODES,
     geometry_anywhere,
@@ -48,6 +49,10 @@ ORDER = (
     "electrons_per_s", "streak_px", "snr", "snr_at", "x_px", "y_px", "in_frame",
     "visible_fraction",
 )  # fmt: skip
+NOT_MOVED = (
+    "places and streaks are those of a pointing without its random motion ({rms_px:.2g} px rms), "
+    "which is of the scene's own exposures"
+)
 MEASURED = ("ra_measured_deg", "dec_measured_deg", "centroid_sigma_arcsec")
 OTHER_TIMES = (
     "the noise of the sky and the response are those of the scene's own exposures, {epoch}: "
@@ -112,6 +117,8 @@ def observe(
         raise BadInput(field, len(at.frame), allowed)
     if not at.as_exposed:
         notes.append(OTHER_TIMES.format(epoch=scene.epoch))
+        motion = motion_plan(groups[0].resolved.scene) if groups else None
+        notes += [] if motion is None else [NOT_MOVED.format(rms_px=motion.path_px)]
     made, done = [], 0
     for group, part in _windows(groups, at):
         made.append(_rows(group, at, part, least_snr, centroid_seed))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from dataclasses import replace
 
@@ -22,6 +20,7 @@ from pipeline.plan.sensor.detector import full_e
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.spec.sweep import Detection
 from pipeline.store.markers import cell_checksums
+from pipeline.store.product import Cell, cells_digest
 
 SAMPLED_PX = 4  # the background is taken from every fourth pixel of each axis
 MARGIN_PX = 24  # of sky around a target's response, for its noise
@@ -55,7 +54,7 @@ class Measurement:
     ) -> None:
         self.plan, self.maps, self.metrics, self.names = plan, maps, metrics, names
         self.request = request
-        self._cells: list[list[object]] = []
+        self._cells: list[Cell] = []
         self._backgrounds: list[tuple[float, int]] = []
         self._step_e = maps.typical("gain_e_per_dn")
         self._saturated, self._pixels = 0, 0
@@ -78,7 +77,7 @@ class Measurement:
     def take(self, tile: Tile, frame: int, dn: np.ndarray, mean_e: Array) -> None:
         """One tile: digital numbers, and the mean before photon noise."""
         cells = cell_checksums(tile, dn)
-        self._cells += [["dn", frame, *cell] for cell in cells]
+        self._cells += [("dn", frame, *cell) for cell in cells]
         if "background" in self.metrics:
             light = self._calibrated(frame, tile, tile, dn, SAMPLED_PX)
             self._backgrounds.append((robust_noise(light, self._step_e)[0], dn.size))
@@ -121,7 +120,7 @@ class Measurement:
 
     def content_digest(self) -> str:
         """As of a product that holds `dn` alone: equal where every pixel of all frames is."""
-        return hashlib.sha256(json.dumps(sorted(self._cells)).encode()).hexdigest()
+        return cells_digest(self._cells)
 
     def _background(self) -> dict[str, float | None]:
         total = sum(n for _, n in self._backgrounds)

@@ -132,6 +132,18 @@ def test_what_is_said_of_the_scenes_own_exposures_is_named_so() -> None:
     assert half.table["sunlit_fraction"].to_pylist() == [1.0]
 
 
+def test_random_motion_is_told_where_it_is_not_counted() -> None:
+    """All of it below what an exposure resolves, so that its rms is that of the path."""
+    jitter = {"kind": "white", "rms_arcsec": 3.0, "low_hz": 0.001, "high_hz": 0.01}
+    data = night(pointing=ASIDE | {"attitude": {"jitter": [jitter]}})
+    scene = parse_scene(data)
+    [told] = [note for note in observe(scene, [1000.0]).notes if "random motion" in note]
+    assert f"({3.0 / 3600.0 / np.degrees(scene.sensor.ifov_rad):.2g} px rms)" in told
+    assert not any("random motion" in note for note in observe(scene).notes)
+    steady = observe(parse_scene(night(pointing=ASIDE)), [1000.0])
+    assert not any("random motion" in note for note in steady.notes)
+
+
 def test_an_object_that_decays_while_it_is_exposed_is_omitted_and_told(tmp_path: Path) -> None:
     """The middle of the exposure, which is asked for, is some minutes before its end."""
     first, second = tle(7, 51.6, 10.0, 0.001, 20.0, 30.0, 16.2)
