@@ -108,6 +108,8 @@ def shorten(value: object, limit: int = 80) -> str:
         text = repr(value)
     except (ValueError, RecursionError):  # an integer of thousands of digits, endless nesting
         text = f"a {type(value).__name__} too large to show"
+    if "\n" in text:  # an array's rows
+        text = " ".join(text.split())
     if len(text) <= limit:
         return text
     tail = limit // 2  # the end of a path says most

@@ -134,7 +134,7 @@ def _numbers(kind: str, value: Node, rng: np.random.Generator, told: list[str], 
     try:
         name = "integers" if kind == "randint" and own is None else kind
         out = getattr(own or rng, name)(*given, size=size)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise BadInput(where, given, str(error)) from None
     out = -out if opposite else out
     return np.asarray(out, np.float32) if np.ndim(out) else np.asarray(out).item()

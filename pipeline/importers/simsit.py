@@ -117,9 +117,7 @@ def _sensor(
     if (columns, rows) != tuple(shape) or min(columns, rows) < 1:
         raise BadInput("instrument.image_shape", shape, "two whole numbers from 1 to 60000")
     pitch = f.number("instrument.pixel_scale", 0.05, 1000)
-    th, scale = _table(f, "instrument.distortion", "dthdr")
-    if not (scale > 0).all():
-        raise BadInput("instrument.distortion.dthdr", float(scale.min()), "numbers above 0")
+    th, scale = _table(f, "instrument.distortion", "dthdr", 1e-6, 1e6)
     focal_m = 1e-6 / (scale[0] * ARCSEC_RAD)
     sensor: JsonObject = {
         "shape": [rows, columns],
@@ -172,16 +170,20 @@ def _throughput(sensor: JsonObject, offset_mag: float, notes: Notes) -> float:
     return share
 
 
-def _table(f: Fields, key: str, column: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A table against the field angle [deg] of the file."""
+def _table(
+    f: Fields, key: str, column: str, low: float, high: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A table of values from low to high against the field angle [deg] of the file."""
     lists = [f.get(f"{key}.{name}") for name in ("th", column)]
     try:
         th, value = (np.array(v, float) for v in lists)
     except (TypeError, ValueError):
         raise BadInput(f"{key}.{column}", lists[1], "lists of numbers") from None
     bad = th.ndim != 1 or th.shape != value.shape or th.size < 2
-    if bad or th[0] != 0 or not (np.diff(th) > 0).all() or not np.isfinite(value).all():
-        raise BadInput(f"{key}.th", lists[0], f"ascending from 0, as many as {column}, finite")
+    if bad or th[0] != 0 or not (np.diff(th) > 0).all() or not th[-1] <= 180:
+        raise BadInput(f"{key}.th", lists[0], f"ascending from 0 to 180, as many as {column}")
+    for one in value[~((value >= low) & (value <= high))][:1]:
+        raise BadInput(f"{key}.{column}", float(one), f"numbers from {low:g} to {high:g}")
     return th, value
 
 
@@ -218,7 +220,7 @@ def _vignetting(
 ) -> None:
     if not f.has("instrument.vignetting"):
         return
-    th, share = _table(f, "instrument.vignetting", "unvig")
+    th, share = _table(f, "instrument.vignetting", "unvig", 0.0, 10.0)
     rows, columns = sensor["shape"]
     if rows * columns > LARGEST_IMAGE_PX:
         notes.left_out.append(

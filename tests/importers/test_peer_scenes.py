@@ -475,13 +475,21 @@ def test_chance_without_a_choice_gives_the_value(given, wanted):
 
 @pytest.mark.parametrize(
     ("given", "field"),
-    [({"size": 10**11}, "a.size"), ({"size": "5"}, "a.size"), ({"seed": "q"}, "a")],
+    [({"size": 10**11}, "a.size"), ({"size": "5"}, "a.size"), ({"seed": "q"}, "a"),
+     ({"high": math.inf}, "a"), ({"high": [[2.0, 3.0], [4.0]]}, "a")],
 )
 def test_samples_that_cannot_be_drawn_are_named(given, field):
     value = {"$sample": "random.uniform", "low": 0.0, "high": 1.0} | given
     with pytest.raises(BadInput) as caught:
         settled(value, np.random.default_rng(1), [], "a")
     assert caught.value.field == field
+
+
+def test_drawn_arrays_are_refused_in_one_line(satsim):
+    rows = {"$sample": "random.uniform", "low": 0.0, "high": [[0.1, 0.2], [0.3, 0.4]]}
+    with pytest.raises(BadInput, match=r"fpa\.psf\.eod: array\(\[\[0\.") as told:
+        satsim({"fpa.psf.eod": rows})
+    assert "\n" not in str(told.value)
 
 
 def test_what_chance_chose_is_told_by_its_place():
@@ -670,7 +678,7 @@ def test_limits_bad_simsit_files(tmp_path, published):
         ("type: 'sidereal'", "type: 'stare'"), ("[2.0, 5.0]", "[5.0, 2.0]"),
         ("exptime: [0.1, 0.3]", "exptime: []"), ("th: &th [0.", "th: &th [0.5"),
         ("sites: ['ctio', 'kpno']", "sites: ['moon']"), ("gain: 1.0", "gain: .nan"),
-        ("seed: 31", "seed: &a [*a]"),
+        ("seed: 31", "seed: &a [*a]"), ("&th [0., 0.1, 0.2, 0.3]", "&th [0., 1, 2, .inf]"),
     ):  # fmt: skip
         assert old in good
         (tmp_path / "bad.yaml").write_text(good.replace(old, new))
