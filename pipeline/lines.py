@@ -1,10 +1,13 @@
-"""Text in lines that fit the terminal: paragraphs, and tables with rows of two lines if need be."""
+"""Text in lines that fit the terminal: paragraphs, and tables with rows of two lines if need be.
+
+And the same tables as Markdown.
+"""
 
 from __future__ import annotations
 
 import shutil
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 
 def width() -> int:
@@ -58,6 +61,13 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], texts: int) -> st
             "  " + _right(numbers, short),
         ]
     return "\n".join(map(str.rstrip, lines))
+
+
+def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]], texts: int) -> str:
+    """The same table as Markdown, with its last line ended."""
+    rule = ["---"] * texts + ["---:"] * (len(heads) - texts)
+    escaped = ([c.replace("|", "\\|").replace("*", "\\*") for c in row] for row in rows)
+    return "".join(f"| {' | '.join(row)} |\n" for row in (heads, rule, *escaped))
 
 
 def _right(cells: Sequence[str], sizes: Sequence[int]) -> str:

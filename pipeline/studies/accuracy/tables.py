@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from catalog_tools.documents import JsonObject
-from pipeline.lines import fold, table
+from pipeline.lines import fold, markdown_table, table
 
 Row = JsonObject
 
@@ -66,9 +66,7 @@ def markdown(study: JsonObject) -> str:
     """The whole study as Markdown."""
     out = ["# Error against CPU time", "", *(f"- {line}" for line in explained(study))]
     for title, rows in by_case(study):
-        out += ["", f"## {title}", "", f"| {' | '.join(HEADS)} |"]
-        out.append("| --- | --- " + "| ---: " * (len(HEADS) - 2) + "|")
-        out += ["| " + " | ".join(cells(r)).replace("*", r"\*") + " |" for r in rows]
+        out += ["", f"## {title}", "", markdown_table(HEADS, map(cells, rows), 2).rstrip()]
     return "\n".join(out) + "\n"
 
 

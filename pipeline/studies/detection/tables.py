@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from catalog_tools.documents import JsonObject
-from pipeline.lines import fold, table
+from pipeline.lines import fold, markdown_table, table
 from pipeline.studies.detection.finders import TITLES
 
 Part = tuple[str, tuple[str, ...], list[tuple[str, ...]], int]
@@ -67,16 +67,10 @@ def parts(study: JsonObject) -> Iterator[Part]:
 
 def markdown(study: JsonObject) -> str:
     """The study's tables in Markdown."""
-    lines = []
-    for title, heads, rows, _ in parts(study):
-        lines += [
-            title,
-            "",
-            *(f"| {' | '.join(row)} |" for row in (heads, ["---"] * len(heads))),
-            *(f"| {' | '.join(row)} |" for row in rows),
-            "",
-        ]
-    return "\n".join(lines)
+    return "\n".join(
+        f"{title}\n\n{markdown_table(heads, rows, len(heads))}"
+        for title, heads, rows, _ in parts(study)
+    )
 
 
 def print_study(study: JsonObject) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, Missing
-from pipeline.lines import table
+from pipeline.lines import markdown_table, table
 from pipeline.studies.ledger.study import Progress, checked_rules, run_ledger
 
 Row = JsonObject
@@ -51,10 +51,8 @@ def rows(study: Row) -> list[tuple[str, ...]]:
 
 def text(study: Row) -> str:
     """The study as Markdown."""
-    lines = ["| " + " | ".join(HEADS) + " |", "| --- " * len(HEADS) + "|"]
-    lines += ["| " + " | ".join(cells) + " |" for cells in rows(study)]
     head = f"{len(study['rules'])} rules, {study['cpu_s']:.0f} CPU s, {study['nightglass']}.\n\n"
-    return head + "\n".join(lines) + "\n"
+    return head + markdown_table(HEADS, rows(study), len(HEADS))
 
 
 def print_ledger(study: Row) -> None:

@@ -10,6 +10,7 @@ from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.inputs.stars.catalogues import open_catalogues
 from pipeline.lazily import need_matplotlib
+from pipeline.lines import markdown_table
 from pipeline.studies.scenes.figure import ladder_figure, omission_figure
 from pipeline.studies.scenes.page import page
 from pipeline.studies.scenes.scenes import requests
@@ -17,7 +18,6 @@ from pipeline.studies.scenes.study import Progress, checked_levels, run_study
 from pipeline.studies.scenes.tables import (
     explained,
     level_table,
-    markdown,
     switch_table,
 )
 
@@ -64,7 +64,8 @@ def write(study: JsonObject, out: Path) -> None:
 def text(study: JsonObject) -> str:
     """The study as Markdown, without its figures."""
     notes = "\n".join(f"- {line}" for line in explained(study))
+    levels, switches = (markdown_table(*t, 2) for t in (level_table(study), switch_table(study)))
     return (
-        f"{notes}\n\n## Scenes, level by level\n\n{markdown(level_table(study))}\n"
-        f"## Approximations, one at a time switched off\n\n{markdown(switch_table(study))}"
+        f"{notes}\n\n## Scenes, level by level\n\n{levels}\n"
+        f"## Approximations, one at a time switched off\n\n{switches}"
     )

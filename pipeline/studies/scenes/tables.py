@@ -114,17 +114,6 @@ def explained(study: Row) -> list[str]:
     return [head, *NOTES]
 
 
-def markdown(table: Table) -> str:
-    """A table as Markdown; the first two columns are text."""
-    heads, rows = table
-    lines = ["| " + " | ".join(heads) + " |", "| --- | --- " + "| ---: " * (len(heads) - 2) + "|"]
-    lines += [
-        "| " + " | ".join(c.replace("|", "\\|").replace("*", "\\*") for c in row) + " |"
-        for row in rows
-    ]
-    return "\n".join(lines) + "\n"
-
-
 def print_study(study: Row) -> None:
     """The study on the terminal."""
     for heads, rows in (level_table(study), switch_table(study)):

@@ -8,9 +8,11 @@ from pathlib import Path
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
-from pipeline.lines import fold
+from pipeline.lines import fold, markdown_table
 from pipeline.studies.selftest import attitude, frames, light, many, places, stars
 from pipeline.studies.selftest.case import LimitingCase, Outcome, every, run_case
+
+HEADS = ("case", "what", "right answer by", "right", "ours", "error", "allowed", "s")
 
 
 def all_cases() -> tuple[LimitingCase, ...]:
@@ -68,27 +70,23 @@ def print_table(outcomes: list[Outcome]) -> None:
 
 def markdown(outcomes: list[Outcome]) -> str:
     """The page docs/extremes.md."""
-    lines = [
-        "# Limiting cases",
-        "",
-        "What the product gives at the limits of arithmetic, geometry and formats, beside the "
-        "right answer and where that comes from. Made by `nightglass selftest --markdown "
-        "docs/extremes.md`; `nightglass selftest` runs the same cases on your machine.",
-        "",
-        "| case | what | right answer by | right | ours | error | allowed | s |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    for o in outcomes:
-        found = o.found
-        cells = [
+    rows = [
+        (
             o.case.name,
             o.case.what,
             o.case.source,
-            found.right if found else "",
-            found.ours if found else o.fault,
-            f"{found.error:.2g}" if found else "-",
+            o.found.right if o.found else "",
+            o.found.ours if o.found else o.fault,
+            f"{o.found.error:.2g}" if o.found else "-",
             f"{o.case.allowed:.2g} {o.case.unit}",
             f"{o.seconds:.2f}",
-        ]
-        lines.append("| " + " | ".join(c.replace("|", "\\|") for c in cells) + " |")
-    return "\n".join(lines) + "\n"
+        )
+        for o in outcomes
+    ]
+    return (
+        "# Limiting cases\n\n"
+        "What the product gives at the limits of arithmetic, geometry and formats, beside the "
+        "right answer and where that comes from. Made by `nightglass selftest --markdown "
+        "docs/extremes.md`; `nightglass selftest` runs the same cases on your machine.\n\n"
+        + markdown_table(HEADS, rows, len(HEADS))
+    )
