@@ -183,8 +183,6 @@ def _read(path: Path, field: str) -> JsonObject:
         raise BadInput(field, path.name, "a file that ends in .csv, .fits, .npy or .parquet")
     try:
         found = kind(path)
-    except BadInput:
-        raise
     except Exception as error:
         reason = " ".join(str(error).split())[:120]
         raise BadInput(field, path.name, f"a readable {path.suffix} table; {reason}") from None

@@ -42,7 +42,7 @@ def make_plan(
     scene, engines, responses = resolved.scene, None, resolved.responses
     if stars is not None:
         engines = choose_engines(resolved, g, stars.counts)
-        responses = engines.responses if engines else responses
+        responses = engines.responses
     known = _all_sources(scene, stars, targets)
     bounds = bounds_of(responses, *known) if known and responses.classes else SourceBounds()
     basis = PlanBasis(resolved, g, stars, engines, bounds.errors_e, bounds.brightest_e)

@@ -77,14 +77,9 @@ class StarEngines:
     tables: bool
 
 
-def choose_engines(plan: ResolvedScene, g: Geometry, counts: StarCounts) -> StarEngines | None:
-    """The cheapest engines for the stars of a frame; None where there are no responses to choose.
-
-    g : some of the scene's frames
-    """
+def choose_engines(plan: ResolvedScene, g: Geometry, counts: StarCounts) -> StarEngines:
+    """The cheapest engines for the stars of a frame. g : some of the scene's frames."""
     r = plan.responses
-    if not r.classes:
-        return None
     streaks, far_px = _streaks(plan, g), _farthest_px(plan, g)
     limits = [0.0, *(core.brightest_e for core in r.classes), math.inf]
     classes, said, near, stars_s = [], [], [], 0.0
