@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.physics.noise.converter import dn_type
 from pipeline.physics.noise.joint import measured_image
-from pipeline.physics.noise.steps import AFTER_NOISE, DETECTOR, FLAT, LAG, READ_OUT, SMEAR
+from pipeline.physics.noise.steps import AFTER_NOISE, DARK, DETECTOR, FLAT, LAG, READ_OUT, SMEAR
 from pipeline.physics.noise.streams import standard_normals
 from pipeline.physics.noise.terms import Array, Chain, Readout, StreamPlace, Value
 
@@ -24,7 +24,7 @@ def layers_e(light_e: dict[str, Array], chain: Chain, shape: tuple[int, int]) ->
     for name, light in light_e.items():
         layers[name] = SMEAR.apply(np.broadcast_to(FLAT.apply(light, of), shape), of)
     if np.any(chain.dark_e):
-        layers["dark_e"] = np.broadcast_to(chain.dark_e, shape)
+        layers["dark_e"] = np.broadcast_to(DARK.apply(np.zeros(()), of), shape)
     return layers
 
 

@@ -147,11 +147,12 @@ def _masked(dn: Array, chain: Chain) -> Array:
 
 
 FLAT, SMEAR, LAG = Step("flat", _flat, _without_flat), Step("smear", _smear), Step("lag", _lag)
+DARK = Step("dark", _dark, _without_dark)
 READ_NOISE = Step("read_noise", _read_noise)
 DETECTOR = (
     FLAT,
     SMEAR,
-    Step("dark", _dark, _without_dark),
+    DARK,
     LAG,
     Step("photon_noise", _photon_noise),
     Step("cosmic_rays", _cosmic_rays),
