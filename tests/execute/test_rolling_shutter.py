@@ -241,12 +241,15 @@ def curve(drop_s: float) -> dict[str, Any]:
     return TARGET | {"body": body | {"magnitudes": [5.0, 5.0, 12.0, 12.0]}}
 
 
-def test_light_after_the_first_rows_exposure_is_that_of_its_own_row(tmp_path: Path) -> None:
+@pytest.mark.parametrize("air", [{}, {"atmosphere": {"refraction": True}}], ids=["", "air"])
+def test_light_after_the_first_rows_exposure_is_that_of_its_own_row(
+    air: dict[str, Any], tmp_path: Path
+) -> None:
     """The target's row, in the middle, is exposed after the light has fallen."""
     delay_s = LINE_S * (SIDE - 1) / 2
     short = {"exposure": {"integration_s": 0.1, "frames": 1}}
     pointing = {"mode": "target", "target": "t"}
-    observer = {"kind": "ground", "latitude_deg": 0.0, "longitude_deg": 170.0}
+    observer = {"kind": "ground", "latitude_deg": 0.0, "longitude_deg": 170.0} | air
 
     def electrons(name: str, readout: Any, **more: Any) -> float:
         made = scene(

@@ -338,13 +338,11 @@ def _geometry(
 
 
 def _light(scene: Scene, frames: NDArray[np.int64], offset_s: Array, dut1_s: float) -> Array:
-    """Light (T, F, K) of the targets at moments (F, K) as cameras of these frames are pointed."""
+    """Light (T, F, K) of the targets at moments (F, K) as cameras of these frames are pointed:
+    above the air, wherever that puts them in the frame."""
     which = np.repeat(dwell_of(dwell_plans(scene), frames), offset_s.shape[1])
     at, attitude = aimed(scene, offset_s.ravel(), dut1_s, which)
-    air = air_of(scene, at.times)
-    if air is not None:
-        attitude = lifted(attitude, air)
-    found = target_paths(scene, camera_of(scene), attitude, at, len(frames), air)
+    found = target_paths(scene, camera_of(scene), attitude, at, len(frames))
     return found.light.reshape(len(scene.targets), *offset_s.shape)
 
 
