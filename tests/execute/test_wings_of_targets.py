@@ -33,6 +33,18 @@ def test_a_part_of_a_streak_has_that_part_of_its_light(
     assert light.sum() == pytest.approx(there_e, rel=0.15)
 
 
+@pytest.mark.parametrize("way_px", [0.0, 1e-20, -1e-20, 1e-3, 100.0])
+def test_a_source_that_is_off_the_grid_is_no_point_on_it(
+    way_px: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However little it moves: steps to the grid are then more than can be numbered."""
+    monkeypatch.setattr(blocks, "target_class", lambda plan, target: 0)
+    path = Path(np.array([0.0, way_px]), np.array([-way_px, 0.0]), np.ones(1))
+    off = [FrameTarget(0, *place, path, 1e6) for place in ((900.0, 100.0), (100.0, -700.0))]
+    found = blocks._target_points(SimpleNamespace(), off, WingGrid(100, 100, 2, 0.0, 0.0))  # type: ignore
+    assert [len(v) for v in found] == [0] * 4
+
+
 def test_a_star_with_a_path_of_its_own_is_swept_along_no_other() -> None:
     """Beside stars on a common streak: its far light is what it is without them."""
     plan = plan_of({"kind": "airy", "wavelength_nm": 650.0}, 25.0, 0.0)

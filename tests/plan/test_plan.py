@@ -43,12 +43,19 @@ from pipeline.physics.psf.response import (
 )
 from pipeline.physics.radiometry import box
 from pipeline.physics.vectors import separation, unit
+from pipeline.plan import needs
 from pipeline.plan.checks import choose_checks
 from pipeline.plan.cones import catalogue_cones, field_cones
 from pipeline.plan.cost import CHECK_S, check_count, least_cpu_s
 from pipeline.plan.described import plan_dict
 from pipeline.plan.facts import Facts, gather_facts
-from pipeline.plan.needs import StarForecast, drawing_s, frame_seconds, predict
+from pipeline.plan.needs import (
+    CORE_S_PER_SAMPLE,
+    StarForecast,
+    drawing_s,
+    frame_seconds,
+    predict,
+)
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry
 from pipeline.plan.pointing.star_paths import field_points
@@ -140,6 +147,25 @@ def test_each_frame_costs_its_drawing(scene: Make) -> None:
     assert more_s - less_s >= 198 * drawn_s  # not 200 drawings but 2
     told = [predict(replace(few, shared_frames=n), stars)["cpu_s"] for n in (99, 100, 101)]
     assert told[1] == told[2] == pytest.approx(told[0] - drawn_s, rel=0.2)  # a group begun is drawn
+
+
+def test_cores_that_are_not_kept_are_made_for_every_frame(
+    scene: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of every class for the stars, a group of frames together, and its truth's once more."""
+    moffat = {"sensor.psf": {"kind": "moffat", "fwhm_px": 2.5}, "accuracy": {"check_cells": 0}}
+    few, many = (plan_of(scene(moffat | {"exposure.frames": n})) for n in (5, 15))
+    once = predict(few, None)["cpu_s"], predict(many, None)["cpu_s"]
+    monkeypatch.setattr(needs, "TABLE_BYTES", 0.0)
+    radii = [c.radius_px for c in few.responses.classes]
+    sizes = [compact_core(few.facts.blur, radius).samples.size for radius in radii]
+    for together in (1, 5):
+        more = [
+            predict(replace(plan, shared_frames=together), None)["cpu_s"] - s
+            for plan, s in zip((few, many), once, strict=True)
+        ]
+        made = 10 * (sum(sizes) / together + sizes[0])
+        assert more[1] - more[0] == pytest.approx(CORE_S_PER_SAMPLE * made, rel=0.05)
 
 
 def test_noise_floor_without_photon_noise(scene: Make) -> None:

@@ -427,6 +427,24 @@ def test_background_and_saturation_by_hand():
         assert row["saturated_fraction"] == 3 / 48
 
 
+def test_pixels_are_full_by_their_own_gain_and_bias(tmp_path):
+    """Of two tiles, each pixel where it is: half a DN below the converter's top, or above it."""
+    rows, columns = SMALL["sensor"]["shape"]
+    gain, bias = 1.0 + np.arange(rows * columns).reshape(rows, columns) / 7.0, np.eye(rows, columns)
+    np.save(tmp_path / "gain.npy", gain)
+    np.save(tmp_path / "bias.npy", bias)
+    files = {"gain_e_per_dn": str(tmp_path / "gain.npy"), "bias_dn": str(tmp_path / "bias.npy")}
+    scene = parse_scene(SMALL | {"sensor": SMALL["sensor"] | files | {"adc_bits": 8}})
+    plan, maps = prepare(scene).plan, gather_sensor_maps(scene)
+    measured = Measurement(plan, maps, ("saturation",), (), Detection())
+    above = np.random.default_rng(2).uniform(size=(rows, columns)) < 0.3
+    mean_e = (255.0 - bias + np.where(above, 0.5, -0.5)) * gain
+    for x0 in (0, 12):
+        cut, tile = np.s_[5:20, x0 : x0 + 12], Tile(0, 0, 5, x0, 15, 12)
+        measured.take(tile, 0, np.zeros((15, 12), np.uint8), mean_e[cut])
+    assert measured.row()["saturated_fraction"] == above[5:20, :24].mean()
+
+
 def test_what_makes_two_sweeps_the_same():
     """Every key of the file but its name, each in its own digest; also scene and catalogues."""
     head = {"schema": "nightglass/sweep/1", "name": "d", "scene": "s.yaml"}

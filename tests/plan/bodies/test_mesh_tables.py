@@ -63,6 +63,22 @@ def test_a_short_flash_at_times_that_are_told_is_not_missed(spins: bool) -> None
     assert tabulated(light, 0.0, 900.0, 1e-2, 12 * (32 if spins else 1), spins, flash_s) is None
 
 
+@pytest.mark.parametrize(("spins", "first"), [(False, 9 + 4), (True, 32 * (3 + 4))])
+def test_what_is_too_much_at_first_is_not_worked_out(spins: bool, first: int) -> None:
+    """Times that are told count, for each of 32 phases."""
+    asked: list[int] = []
+
+    def light(_: np.ndarray, t: np.ndarray) -> np.ndarray:
+        asked.append(len(t))
+        return np.ones((len(t), 1))
+
+    turns_s = np.array([604.0, 605.0, 609.0, 610.0])
+    assert tabulated(light, 0.0, 900.0, 1e-2, first - 1, spins, turns_s) is None
+    assert not asked
+    assert tabulated(light, 0.0, 900.0, 1e-2, first, spins, turns_s) is None
+    assert asked[0] == first
+
+
 def test_over_phase_and_time_the_error_holds() -> None:
     def light(p: np.ndarray, t: np.ndarray) -> np.ndarray:
         return (1.0 + 0.3 * np.cos(p - 0.1 * t) + 0.05 * np.sin(2 * p) * t / 10)[:, None]

@@ -14,7 +14,7 @@ from pipeline.arrays import Refined
 from pipeline.errors import BadInput
 from pipeline.physics.positions.apparent import unaberrate
 from pipeline.plan.accuracy import part_sigma
-from pipeline.plan.pointing.attitude_motion import motion_plan
+from pipeline.plan.pointing.attitude_motion import motion_plan, random_motion_rad
 from pipeline.plan.pointing.geometry import (
     bend_px,
     camera_of,
@@ -23,6 +23,7 @@ from pipeline.plan.pointing.geometry import (
     star_paths,
 )
 from pipeline.plan.pointing.motion_runs import mode_states
+from pipeline.plan.pointing.star_paths import excursions_px
 from pipeline.plan.timing import frame_count, frame_times
 from pipeline.spec.scene import Scene
 
@@ -259,14 +260,26 @@ def test_random_motion_has_the_size_asked_for(scene: Make) -> None:
                "exposure.frames": 300, "stars": None})  # fmt: skip
     plan = motion_plan(s)
     assert plan is not None
-    from pipeline.plan.pointing.attitude_motion import random_motion_rad
-
     moved = random_motion_rad(s, np.arange(300), plan.nodes) / ARCSEC
     uneven = 2.0 * (plan.uneven_px * 1e-5 / ARCSEC) ** 2 / 2.0
     blur = (plan.blur_px * 1e-5 / ARCSEC) ** 2
     assert moved[..., 0].var() + blur + uneven == pytest.approx(14.0, rel=0.2)
     assert moved[..., 1].var() + blur - uneven == pytest.approx(5.0, rel=0.2)
     assert np.abs(moved[..., :2].mean(axis=(0, 1))).max() < 0.5
+
+
+def test_between_its_nodes_random_motion_is_straight(scene: Make) -> None:
+    """Where a path that bends more, or light that flickers, asks for more nodes than it."""
+    s = scene({"pointing": SIDEREAL | {"attitude": RANDOM}})
+    plan, frames = motion_plan(s), np.arange(2)
+    assert plan is not None
+    coarse = random_motion_rad(s, frames, plan.nodes)
+    fine = random_motion_rad(s, frames, 4 * (plan.nodes - 1) + 1)
+    at, of = (np.linspace(0.0, 1.0, moved.shape[1]) for moved in (fine, coarse))
+    assert np.abs(coarse).max(axis=(0, 1)).min() > 0.01 * ARCSEC
+    for k in np.ndindex(2, 3):
+        straight = np.interp(at, of, coarse[k[0], :, k[1]])
+        np.testing.assert_allclose(fine[k[0], :, k[1]], straight, rtol=0.0, atol=1e-18)
 
 
 @pytest.mark.parametrize("noise_fraction", [0.5, 0.05])
@@ -326,6 +339,22 @@ def test_a_frame_that_bends_more_is_found_and_gets_more_nodes(scene: Make) -> No
     fine = 4e-5 * np.sin(0.5 * np.pi * np.linspace(0.0, 2.0, one.nodes)) ** 2
     assert np.ptp(np.hypot(x, y)) > 1.0
     assert np.allclose(np.abs(y - y[0]), fine / 1e-5, atol=5e-3)
+
+
+def test_how_far_stars_come_is_told_from_the_nodes_of_each_frame(scene: Make) -> None:
+    """A jerk of 20 px, that is 6 px at the nodes next to it of frames that stand still."""
+    time = np.union1d(np.linspace(0.0, 400.0, 4001), np.linspace(130.0, 132.0, 201))
+    angle = 2e-4 * np.exp(-0.5 * ((time - 130.375) / 0.08) ** 2)
+    turn = Rotation.from_rotvec(np.outer(angle, [1.0, 0.0, 0.0]))
+    table = {"mode": "table", "frame": "gcrs", "scalar": "last", "interpolation": "spline",
+             "rows": np.column_stack([time, turn.as_quat()]).tolist()}  # fmt: skip
+    s = scene({"pointing": table, "exposure.frames": 40, "stars.aberration": False})
+    g = plan_geometry(s, np.arange(12, 15), 0.0)
+    assert isinstance(g, Refined)
+    assert list(g.finer) == [1]
+    before, far, after = excursions_px(camera_of(s), g, False)
+    assert before == after == 0.0
+    assert 20.0 <= far <= 32.0
 
 
 def test_absurd_accelerations_are_refused(scene: Make) -> None:

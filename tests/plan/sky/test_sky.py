@@ -27,10 +27,10 @@ from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.focal_plane import project
 from pipeline.physics.sky.grid import FrameGrid
 from pipeline.physics.targets.shadow import moon_m
-from pipeline.physics.vectors import from_angles
+from pipeline.physics.vectors import from_angles, separation
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
-from pipeline.plan.sky.light import off_plane_remarks
+from pipeline.plan.sky.light import LightOfSky, off_plane_remarks
 from pipeline.plan.sky.night import _moon_share, dimmed
 from pipeline.plan.sky.sky import _grid_told, facts_with_sky, plan_sky, sky_grid, sky_tile
 from pipeline.plan.stars.faint import faint_limit, limits_g_mag
@@ -251,6 +251,22 @@ def test_against_the_table_through_the_camera(scene):
     distance = sky_distance_au(s)
     by_hand = 77e-8 * far * facts.area_m2 * facts.ifov_rad**2 * distance**-2.3
     assert whole(s, sky)[128, 128] == pytest.approx(by_hand, rel=5e-3)
+
+
+@pytest.mark.parametrize("aberration", [True, False])
+def test_the_light_of_a_pixel_is_of_where_its_star_is(scene, aberration):
+    """In the middle the place that is looked at, wherever the camera must point to for it."""
+    fast = {"observer": WIDE["observer"] | {"velocity_m_s": [0, 0, 3e4]},
+            "stars": {"catalogue": "n", "aberration": aberration, "deflection": False}}  # fmt: skip
+    s = scene(copy.deepcopy(WIDE | fast))
+    g, camera = plan_geometry(s, np.zeros(1, int), 0.0), camera_of(s)
+    there = from_angles(*np.radians(FIELD_DEG))
+    light = LightOfSky(s, camera, None, None, None)
+    x, y = np.array(camera.centre_px)[:, None]
+    assert separation(light.directions(g, 0, g.middle, x, y), there[None])[0] < 1e-9
+    turned_rad = 3e4 / SPEED_OF_LIGHT_M_S * np.cos(np.radians(FIELD_DEG[1])) if aberration else 0.0
+    boresight = g.attitude[0, g.middle, 2]
+    assert separation(boresight[None], there[None])[0] == pytest.approx(turned_rad, abs=1e-8)
 
 
 def sky_distance_au(s):
