@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.arrays import FrameStars, Geometry
-from pipeline.execute import tables
+from pipeline.execute import check, tables
 from pipeline.execute.blocks import LightBlock, render_block
 from pipeline.execute.check import _expected, _nearest, _points, reference, summary
 from pipeline.execute.light import draw_along, draw_stars
@@ -31,6 +31,7 @@ from pipeline.plan.facts import gather_facts
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.response.responses import CoreClass
+from pipeline.plan.response.streaks import exact_path
 from pipeline.plan.tiles import Tile
 from pipeline.spec.load import parse_scene
 from pipeline.studies.accuracy.reference import GaussianStar, exact_pixels, straight
@@ -121,6 +122,25 @@ def test_engines_agree_within_the_sum_of_their_bounds(psf, dx, dy, count, bright
         part = np.s_[64:88, 72:96]
         for image in (stamps, crowd):
             assert (np.abs(image[part] - exact) <= allowed[part]).all()
+
+
+def test_a_tile_of_a_crowd_and_of_few_stars_has_the_light_of_both():
+    """Of two blocks only the first has enough stars to draw them together."""
+    plan = plan_of({"kind": "gaussian", "sigma_px": 0.8}, 0.0, 0.0)
+    plan = replace(plan, responses=replace(plan.responses, spectral_from=10))
+    x, y = np.random.default_rng(8).uniform([[1.0], [1.0]], [[40.0], [159.0]], (2, 60))
+    x[:3] += 110.0
+    stars, g = field(x, y, np.full(60, 50.0)), geometry_of(plan)
+    places = (Tile(0, k, 0, 80 * k, SIDE, 80) for k in (0, 1))
+    blocks = [render_block(plan, g, place, [stars]) for place in places]
+    assert [block.crowd_e is None for block in blocks] == [False, True]
+    image, cells = draw_stars(plan, g, WHOLE, [stars], blocks), np.arange(SIDE, dtype=float)
+    exact = sum(
+        50.0 * exact_pixels(GaussianStar(0.8), straight(0.0, 0.0), *at, cells, cells)
+        for at in zip(x, y, strict=True)
+    )
+    assert np.abs(image - exact).max() <= bounds_e(plan)
+    assert image[:, 80:].sum() == pytest.approx(150.0, rel=1e-4)
 
 
 @pytest.mark.parametrize("sigma", [0.05, 0.3, 5.0, 50.0])
@@ -371,6 +391,21 @@ def test_points_and_distances_along_a_path():
         many = np.hypot(*(np.stack(_points(path, 1e-3)[:2]).T - place).T)
         found = _nearest(offsets, np.array(place)[:, None, None])
         assert found[0] == pytest.approx(many.min(), abs=2e-3)
+
+
+@pytest.mark.parametrize("most", [-1, 10**6])
+def test_the_wings_of_the_reference_are_those_of_many_points_at_rest(most, monkeypatch):
+    """Two stars that share a streak, from beside their cores: point by point, or swept together."""
+    monkeypatch.setattr(check, "MOST_POINTS", most)
+    plan, still = (plan_of({"kind": "airy", "wavelength_nm": 650.0}, d, 0.0) for d in (60.0, 0.0))
+    window, g = Tile(0, 0, 70, 30, 16, 16), geometry_of(plan)
+    x, y, light = np.array([90.0, 93.3]), np.array([78.3, 80.9]), np.array([1e5, 6e4])
+    swept, _ = reference(plan, g, window, field(x, y, light), own_paths=0)
+    dx, dy, share = _points(exact_path(plan.camera, g, 90.0, 78.3, True), 0.25)
+    many = (np.add.outer(v, d).ravel() for v, d in ((x, dx), (y, dy)))
+    stars = field(*many, np.outer(light, share).ravel())
+    exact, _ = reference(still, geometry_of(still), window, stars, own_paths=0, most_s=9.0)
+    np.testing.assert_allclose(swept, exact, rtol=0.02)
 
 
 def test_the_most_is_expected_around_the_brightest_source():

@@ -86,6 +86,23 @@ def test_each_star_keeps_to_its_own_path(
     assert off <= 1.5 * plan.spread_px + ROUNDING_PX + 2e-3  # 2e-3: bends between the nodes
 
 
+def test_a_frame_that_turns_more_than_the_plan_has_seen_gets_more_pieces(scene: Make) -> None:
+    """Its stars keep to their own paths too, as streaks of one piece do not."""
+    seen, turning = rate(scene, 10.0, 0.0, 1.0), scene({"pointing": {
+        "mode": "rate", "boresight_ra_deg": 1.0, "boresight_dec_deg": 50.0,
+        "rate_ra_arcsec_s": 10.0, "rate_dec_arcsec_s": 0.0, "roll_rate_deg_s": 0.004,
+    }})  # fmt: skip
+    camera, g = camera_of(seen), plan_geometry(turning, np.array([0]), 0.0)
+    plan = plan_streaks(camera, plan_geometry(seen, np.array([0]), 0.0), True)
+    assert (plan.zones, plan.pieces) == (1, 1)
+    streak, time = zone_streak(camera, g, 0, 0, plan, True), np.linspace(0.0, 1.0, g.nodes)
+    for x, y in ((5.0, 5.0), (760.0, 20.0), (30.0, 500.0)):
+        own = star_paths(camera, g, np.array([x]), np.array([y]))[:, 0, 0]
+        own -= own[:, [g.middle]]
+        off_px = np.hypot(*(drawn(streak, x, y, time) - own)).max()
+        assert off_px <= 1.5 * SPREAD_TOLERANCE_PX + ROUNDING_PX
+
+
 @pytest.mark.parametrize("focal_m", [1.0, 0.05])
 def test_centroid_and_light_of_the_pieces(scene: Make, focal_m: float) -> None:
     """Of the common shapes: those of a star's own path."""
