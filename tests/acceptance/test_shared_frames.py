@@ -16,6 +16,7 @@ from pipeline.store.markers import place_of
 from pipeline.store.product import check
 
 FRAMES = 5
+MANY = {"integration_s": 1.0, "frames": 4000, "cadence_s": 1.5}
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +84,28 @@ def test_the_bound_is_of_the_sources_light_and_its_own_noise(scene):
     assert bound(plan, 2e-7) == pytest.approx(2.0 * bound(plan, 1e-7), rel=1e-3)
     total = sum(d.error_bound_sigma or 0.0 for d in plan.decisions)
     assert total <= plan.scene.accuracy.noise_fraction
+
+
+def test_of_stars_that_move_faster_and_faster_fewer_frames_share(scene, monkeypatch):
+    """As over an orbit that begins where aberration stands still: the bound holds for all that
+    share, and would for no group of twice as many."""
+    shared_frames = pipeline.plan.stars.shared_frames
+    plan, asked = prepare(scene({"exposure": MANY})).plan, []
+    left = shared_frames.PART * plan.scene.accuracy.noise_fraction
+    first_px = 1e-12 * left / shared_frames.bound_sigma(plan, 1e-9)
+
+    def moved_px(_plan, _sampled, _own, together):
+        asked.append(together)
+        return first_px * (together - 1) ** 2
+
+    monkeypatch.setattr(shared_frames, "_moved_px", moved_px)
+    together, (decision,) = shared_frames.share_frames(plan, (), np.arange(9), None, 1.0)
+    assert asked[:2] == [2, pytest.approx(1000, abs=1)]
+    assert asked[2:] == [asked[1] >> k for k in range(1, 6)]
+    least, most = (shared_frames.bound_sigma(plan, first_px * (n - 1) ** 2)
+                   for n in (together, 2 * together))  # fmt: skip
+    assert decision.error_bound_sigma == least <= left < most
+    assert together == asked[-1]
 
 
 @pytest.mark.parametrize("sharpest", [0, 1])
