@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.physics.meshes.light_table import TURN, tabulated
+from pipeline.physics.meshes.light_table import TURN, LightTable, tabulated
 from pipeline.plan.bodies import mesh_tables, paths
 from pipeline.plan.bodies.mesh_tables import decide_tables, moments_wanted, table_between
 from pipeline.plan.pointing.geometry import plan_geometry
@@ -190,6 +190,26 @@ def test_same_frame_in_any_window(frames: int, tmp_path: Path) -> None:
     for some in ([3], [2, 3, 5], [7, 1]):
         found = plan_geometry(scene, np.array(some), 0.0).target_light
         np.testing.assert_array_equal(found, every[:, some])
+
+
+def test_the_light_of_the_earth_is_in_a_table_too(tmp_path: Path, monkeypatch: Any) -> None:
+    """Of three times, between which it hardly changes: frames as they are without a table."""
+
+    def of_three(light: Any, start_s: float, stop_s: float, *_: Any) -> LightTable:
+        times = np.linspace(start_s, stop_s, 3)
+        return LightTable(times, light(0.0 * times, times)[None], 0.0, 3)
+
+    monkeypatch.setattr(mesh_tables, "tabulated", of_three)
+    found = []
+    for more in ({}, {"lighting": {"earthshine_albedo": 0.3}}):
+        scene = scene_of(tmp_path, WORK["none"], 2, **more)
+        for worth in (0, 10**9):
+            monkeypatch.setattr(mesh_tables, "WORTH", worth)
+            found.append(plan_geometry(scene, np.arange(2), 0.0).target_light)
+    plain, plain_true, ours, true = found
+    assert len(mesh_tables.KEPT) == 2
+    assert (true - plain_true).min() > 5e-4 * true.max()
+    np.testing.assert_allclose(ours - plain, true - plain_true, rtol=0.02)
 
 
 def test_a_short_turn_of_a_tabulated_attitude_is_seen(tmp_path: Path, monkeypatch: Any) -> None:
