@@ -146,6 +146,13 @@ SCENES: dict[str, Changes] = {
         acceleration_ra_arcsec_s2=30.0, acceleration_dec_arcsec_s2=-50.0, roll_deg=10.0,
         roll_rate_deg_s=8.0,
     ),
+    # So slight a bend that bright stars' paths are a few long segments, which share their points.
+    "stars-bright-and-bent": STARS | {
+        "sensor.aperture_m": 0.3, "sensor.gain_e_per_dn": 40.0,
+    } | pointed(
+        "rate", **AT_FIELD, rate_ra_arcsec_s=-600.0, rate_dec_arcsec_s=700.0,
+        acceleration_ra_arcsec_s2=0.02,
+    ),
     "stars-streaked-in-wings": STARS | {
         "sensor.psf": {"kind": "airy"}, "sensor.shape": [48, 48],
         "accuracy": {"noise_fraction": 0.2, "flux_fraction": 0.01, "noise_floor_e": 4.0,
