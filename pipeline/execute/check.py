@@ -436,15 +436,15 @@ def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
     """An extended body with the reference's core, and its wings on the finer grid."""
     assert target.body is not None
     r, place, path = plan.responses, (target.y_px, target.x_px), target.path
+    runs = in_few_runs(path, WING_BEND_PX)
     k = target_class(plan, target)
     for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
         core = core_of(blur, _radius(plan, k, blur))
         draw_body(image, (at.y0, at.x0), target.body, core, place, light_e, path)
-        path = in_few_runs(path, WING_BEND_PX)
-        for grid, ends in _fine_grids(plan, at, _sweep(path)) if r.spacing_px else ():
+        for grid, ends in _fine_grids(plan, at, _sweep(runs)) if r.spacing_px else ():
             light = scipy.fft.rfft2(spread_body(grid, target.body, place, light_e))
             light = light * _wing(blur, core.radius_px, grid, ends)
-            swept = transfer(*grid_frequencies(grid), path.x_px, path.y_px, path.weight)
+            swept = transfer(*grid_frequencies(grid), runs.x_px, runs.y_px, runs.weight)
             add_wings(image, (at.y0, at.x0), grid, convolve(light * swept, grid))
 
 

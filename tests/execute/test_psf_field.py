@@ -15,14 +15,16 @@ import pipeline.plan.response.responses
 from catalog_tools.ingest.ingest import ingest
 from pipeline.arrays import FrameStars
 from pipeline.errors import BadInput
-from pipeline.execute import tables
+from pipeline.execute import check, tables
 from pipeline.execute.blocks import render_block
 from pipeline.execute.light import draw_exact, draw_stars
+from pipeline.execute.sources import FrameTarget
 from pipeline.execute.tables import ContentCache
 from pipeline.execute.truth import matched_snr
-from pipeline.physics.motion.streak import POINT
+from pipeline.physics.motion.streak import POINT, Path, in_few_runs
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import compact_core
+from pipeline.physics.targets.disc import Sphere
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.tiles import Tile
 from pipeline.route.prepare import prepare
@@ -230,6 +232,20 @@ def test_bodies_and_targets_are_drawn_by_the_responses_around_them(tmp_path):
         mixed = (1.0 - share) * images[0] + share * images[1]
         assert 0.4 < share < 0.6
         assert np.abs(images[2] - mixed).max() <= 1e-5 * mixed.max()
+
+
+def test_the_reference_sweeps_a_body_by_every_response_along_its_own_path(catalogue):
+    """Not along the fewer runs that serve its wings: four that are alike are as one."""
+    turned = [[ROUND | {"sigma_minor_px": 1.1, "angle_deg": 10.0 * (i + 2 * j)} for j in range(2)]
+              for i in range(2)]  # fmt: skip
+    path = Path(np.array([-9.0, 0.0, 9.0]), np.array([0.0, 0.035, 0.0]), np.full(2, 0.5))
+    body = FrameTarget(0, 160.2, 159.7, path, 1e5, 4.0, Sphere(4.0, 1.0, 0.5))
+    window, images = Tile(0, 0, 144, 144, 32, 32), np.zeros((2, 32, 32))
+    for image, psf in zip(images, (ROUND, field(turned)), strict=True):
+        check._add_body(planned(catalogue, psf)[0], image, window, body)
+    assert len(in_few_runs(path, check.WING_BEND_PX).weight) < len(path.weight)
+    assert images[0].sum() == pytest.approx(1e5, rel=1e-3)
+    assert np.abs(images[1] - images[0]).max() <= 1e-11 * images[0].max()
 
 
 def test_each_response_is_made_once_where_none_is_kept(catalogue, monkeypatch):
