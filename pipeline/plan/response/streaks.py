@@ -36,7 +36,7 @@ __all__ = [
 PATH_STEP_PX = 2.0**-11  # shapes are rounded to it, so that alike ones share their tables
 MERGE_TOLERANCE_PX = 2e-4  # these two at the usual accuracy
 SPREAD_TOLERANCE_PX = 4e-3
-MOST_PIECES = 16
+MOST_PIECES, MOST_OF_A_FRAME = 16, 1024  # that plans ask for; of frames that turn more than theirs
 SHORTEST_PIECE_PX, FINER_SHAPE = 2.0, 4.0  # of those of bright stars; times finer are these rounded
 ROUNDED = 2.2e-16  # rad: what directions are rounded to, in float64
 SLACK = 1.5  # over what the plan knows of some frames: what others may differ or be longer by
@@ -384,8 +384,8 @@ def zone_streak(
     longest = float(np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1).max())
     count = max(plan.pieces, _power_of_two(longest / LONGEST_PIECE_PX))  # this frame may be faster
     parts, means = _in_pieces(offsets, count)
-    allowed, most = SLACK * max(plan.spread_px, plan.tolerance_px), max(MOST_PIECES, plan.pieces)
-    while _apart(parts, means) > allowed and count < most:  # or turn more
+    allowed = SLACK * max(plan.spread_px, plan.tolerance_px)
+    while _apart(parts, means) > allowed and count < MOST_OF_A_FRAME:  # or turn more
         count *= 2
         parts, means = _in_pieces(offsets, count)
     made = []

@@ -86,11 +86,14 @@ def test_each_star_keeps_to_its_own_path(
     assert off <= 1.5 * plan.spread_px + ROUNDING_PX + 2e-3  # 2e-3: bends between the nodes
 
 
-def test_a_frame_that_turns_more_than_the_plan_has_seen_gets_more_pieces(scene: Make) -> None:
+@pytest.mark.parametrize("roll_deg_s", [0.004, 0.5])
+def test_a_frame_that_turns_more_than_the_plan_has_seen_gets_more_pieces(
+    scene: Make, roll_deg_s: float
+) -> None:
     """Its stars keep to their own paths too, as streaks of one piece do not."""
     seen, turning = rate(scene, 10.0, 0.0, 1.0), scene({"pointing": {
         "mode": "rate", "boresight_ra_deg": 1.0, "boresight_dec_deg": 50.0,
-        "rate_ra_arcsec_s": 10.0, "rate_dec_arcsec_s": 0.0, "roll_rate_deg_s": 0.004,
+        "rate_ra_arcsec_s": 10.0, "rate_dec_arcsec_s": 0.0, "roll_rate_deg_s": roll_deg_s,
     }})  # fmt: skip
     camera, g = camera_of(seen), plan_geometry(turning, np.array([0]), 0.0)
     plan = plan_streaks(camera, plan_geometry(seen, np.array([0]), 0.0), True)
