@@ -77,3 +77,9 @@ def horizontal(u: Vectors, axes: Vectors) -> tuple[Vectors, Vectors]:
     """
     north, east, up = (np.sum(u * axes[..., k, :], axis=-1) for k in range(3))
     return np.arctan2(east, north) % (2.0 * np.pi), np.arctan2(up, np.hypot(north, east))
+
+
+def angular_radius(radius_m: float, vector_m: Vectors) -> Vectors:
+    """Angular radius (...,) [rad] of a sphere at vectors (..., 3) [m]; pi/2 from inside it."""
+    distance = np.sqrt(np.sum(np.square(vector_m), axis=-1))
+    return np.arcsin(np.minimum(radius_m / np.maximum(distance, radius_m), 1.0))

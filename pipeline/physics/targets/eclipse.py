@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.physics.constants import EARTH_EQUATORIAL_RADIUS_M, SUN_RADIUS_M
-from pipeline.physics.vectors import separation
+from pipeline.physics.vectors import angular_radius, separation
 
 Array = NDArray[np.float64]
 
@@ -33,8 +33,8 @@ def sunlit_fraction(
     """
     target = np.asarray(target_geocentric_m, float)
     to_sun = np.asarray(sun_from_earth_m, float) - target
-    a = _disc_radius(SUN_RADIUS_M, to_sun)
-    b = _disc_radius(earth_radius_m, target)
+    a = angular_radius(SUN_RADIUS_M, to_sun)
+    b = angular_radius(earth_radius_m, target)
     # overlap along the line of centres
     depth = np.maximum(a + b - separation(to_sun, -target), 0.0)
     # the limb's circle in the plane: same depth, curvature that of the circle on the sphere
@@ -47,12 +47,6 @@ def sunlit_fraction(
     covered = _segment(a, sagitta_a) + _segment(b, sagitta_b)
     lit = np.clip(1.0 - covered / (np.pi * a * a), 0.0, 1.0)
     return np.where(depth >= 2.0 * a, 0.0, lit)  # total: no rounding crumbs
-
-
-def _disc_radius(radius_m: float, vector_m: Array) -> Array:
-    """Angular radius of a sphere [rad]; pi/2 from inside it."""
-    distance = np.sqrt(np.sum(np.square(vector_m), axis=-1))
-    return np.arcsin(np.minimum(radius_m / np.maximum(distance, radius_m), 1.0))
 
 
 def _segment(radius: Array, sagitta: Array) -> Array:

@@ -12,7 +12,7 @@ from pipeline.physics.constants import (
     EARTH_FLATTENING,
     SUN_RADIUS_M,
 )
-from pipeline.physics.vectors import separation, unit
+from pipeline.physics.vectors import angular_radius, separation, unit
 
 Array = NDArray[np.float64]
 
@@ -83,8 +83,8 @@ def sunlit_past_earth(
     """
     target = np.atleast_2d(np.asarray(target_geocentric_m, float))
     to_sun = np.asarray(sun_from_earth_m, float) - target
-    a = _angular_radius(SUN_RADIUS_M, to_sun)
-    b = _angular_radius(EARTH_EQUATORIAL_RADIUS_M, target)
+    a = angular_radius(SUN_RADIUS_M, to_sun)
+    b = angular_radius(EARTH_EQUATORIAL_RADIUS_M, target)
     if oblate:
         b = _limb_angle(target, to_sun)
     return uncovered_fraction(a, b, separation(to_sun, -target), limb_darkening)
@@ -125,7 +125,7 @@ def sunlit_past_moon(
     target = np.atleast_2d(np.asarray(target_geocentric_m, float))
     to_sun = np.asarray(sun_from_earth_m, float) - target
     to_moon = np.asarray(moon_from_earth_m, float) - target
-    a, b = _angular_radius(SUN_RADIUS_M, to_sun), _angular_radius(MOON_RADIUS_M, to_moon)
+    a, b = angular_radius(SUN_RADIUS_M, to_sun), angular_radius(MOON_RADIUS_M, to_moon)
     behind = np.sum(to_moon * to_moon, -1) > np.sum(to_sun * to_sun, -1)
     free = uncovered_fraction(a, b, separation(to_sun, to_moon), limb_darkening)
     return np.where(behind, 1.0, free)
@@ -134,9 +134,3 @@ def sunlit_past_moon(
 def moon_m(tt1: ArrayLike, tt2: ArrayLike) -> Array:
     """Geocentric Moon (n, 3) [m], GCRS axes: ERFA moon98 (Meeus 1998 after ELP-2000/82)."""
     return np.asarray(era.moon98(np.atleast_1d(tt1), np.atleast_1d(tt2))["p"]) * ASTRONOMICAL_UNIT_M
-
-
-def _angular_radius(radius_m: float, vector_m: Array) -> Array:
-    """Angular radius of a sphere [rad]; pi/2 from inside it."""
-    distance = np.sqrt(np.sum(np.square(vector_m), axis=-1))
-    return np.arcsin(np.minimum(radius_m / np.maximum(distance, radius_m), 1.0))
