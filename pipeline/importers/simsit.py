@@ -179,11 +179,11 @@ def _table(
         th, value = (np.array(v, float) for v in lists)
     except (TypeError, ValueError):
         raise BadInput(f"{key}.{column}", lists[1], "lists of numbers") from None
-    bad = th.ndim != 1 or th.shape != value.shape or th.size < 2
-    if bad or th[0] != 0 or not (np.diff(th) > 0).all() or not th[-1] <= 180:
+    bad = not th.ndim == 1 < th.size or th.shape != value.shape
+    if bad or th[0] != 0 or not th[-1] <= 180 or not (np.diff(th) > 0).all():
         raise BadInput(f"{key}.th", lists[0], f"ascending from 0 to 180, as many as {column}")
-    for one in value[~((value >= low) & (value <= high))][:1]:
-        raise BadInput(f"{key}.{column}", float(one), f"numbers from {low:g} to {high:g}")
+    if not (np.clip(value, low, high) == value).all():
+        raise BadInput(f"{key}.{column}", lists[1], f"numbers from {low:g} to {high:g}")
     return th, value
 
 

@@ -116,9 +116,7 @@ def observe(
         allowed = f"at most {most_rows} rows (times x targets); here {rows}"
         raise BadInput(field, len(at.frame), allowed)
     if not at.as_exposed:
-        notes.append(OTHER_TIMES.format(epoch=scene.epoch))
-        motion = motion_plan(groups[0].resolved.scene) if groups else None
-        notes += [] if motion is None else [NOT_MOVED.format(rms_px=motion.path_px)]
+        notes += _of_other_times(scene, groups)
     made, done = [], 0
     for group, part in _windows(groups, at):
         made.append(_rows(group, at, part, least_snr, centroid_seed))
@@ -128,6 +126,13 @@ def observe(
     table = pa.concat_tables(made).sort_by([("moment", "ascending"), ("index", "ascending")])
     columns = ORDER if centroid_seed is None else (*ORDER, *MEASURED)
     return Observed(table.select(columns), tuple(notes), scene.name)
+
+
+def _of_other_times(scene: Scene, groups: list[Group]) -> list[str]:
+    """What is not as it is at the scene's own exposures."""
+    motions = [motion_plan(group.resolved.scene) for group in groups[:1]]
+    moved = [NOT_MOVED.format(rms_px=m.path_px) for m in motions if m is not None]
+    return [OTHER_TIMES.format(epoch=scene.epoch), *moved]
 
 
 def _windows(groups: list[Group], at: Times) -> Iterator[tuple[Group, slice]]:
