@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import tracemalloc
+from itertools import combinations
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -76,6 +77,23 @@ def test_every_flipped_bit_is_noticed(tmp_path):
     path.unlink()
     with pytest.raises(Damaged, match=r"a\.rows"):
         column(tmp_path, piece, IDS)
+
+
+def test_a_range_takes_the_rows_of_each_piece_from_its_first_to_before_its_last(tmp_path):
+    """Of pixels and of source_ids, at the ends of pieces and within them, against all rows."""
+    held = [np.arange(10, 15), np.array([14, 14, 17]), np.array([17]), np.arange(17, 20)]
+    made = [rows_of(len(values), ids=values.copy()) for values in held]
+    for rows, values in zip(made, held, strict=True):
+        rows[HEALPIX_COLUMN] = values.copy()
+    runs = [write_piece(tmp_path, i, f"{i}.rows", rows) for i, rows in enumerate(made)]
+    pieces = Pieces(tmp_path, runs)
+    for first, end in combinations(range(9, 22), 2):
+        expected = [x for values in held for x in values.tolist() if first <= x < end]
+        found = pieces.gather(pieces.runs(first, end), HEALPIX_COLUMN)
+        assert found.tolist() == expected
+        assert pieces.rows_between(first, end) == len(expected)
+        ids = [pieces.ids_between(k, first, end) for k in pieces.with_ids(first, end).tolist()]
+        assert [x for values in ids for x in values.tolist()] == expected
 
 
 @pytest.mark.parametrize("kept", [0, 5, 20 * 99 - 3, 20 * 99 + 3])
