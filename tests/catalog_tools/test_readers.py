@@ -345,6 +345,7 @@ def gaia(tmp_path, columns, values):
         ("teff_val", "", "gaia_dr2"),
         ("designation", "Gaia DR3 4", "gaia_dr3"),
         ("designation", "Gaia DR2 4", "gaia_dr2"),
+        ("designation", "Gaia EDR3 4", "gaia_dr3"),
     ],
 )
 def test_release_is_told_by_columns_epoch_and_designation(tmp_path, columns, values, form):
