@@ -10,6 +10,8 @@ import pytest
 import yaml
 
 from pipeline.spec.json_schemas import FORMATS
+from pipeline.spec.pointing.dwell import Dwell
+from pipeline.spec.sensor.detector import Amplifier
 from tests.command import nightglass
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -49,3 +51,10 @@ def test_a_scenes_schema_is_printed_without_a_word_and_others_are_refused() -> N
     refused = nightglass("schema", "sweeps")
     assert (refused.returncode, refused.stdout) == (2, "")
     assert "FORMAT: 'sweeps' is not accepted; allowed: one of scene, sweep, study" in refused.stderr
+
+
+def test_what_is_nearest_to_a_key_says_what_it_means() -> None:
+    """Its field before the tables; of these its model's line before that of any model."""
+    amplifier, dwell = (m.model_json_schema()["properties"] for m in (Amplifier, Dwell))
+    assert amplifier["gain_e_per_dn"]["description"] == "instead of the sensor's"
+    assert dwell["frames"]["description"].endswith("default: the scene's exposure.frames")
