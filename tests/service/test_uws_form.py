@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import time
 from datetime import UTC, datetime
@@ -16,6 +17,7 @@ from lxml import etree
 from starlette.requests import Request
 
 from service.jobs.jobs import Job, Phase
+from service.problems import Malformed
 from service.standards import uws
 from service.standards.uws import _time
 from service.standards.uws_xml import job_xml, jobs_xml, parameters_xml, result_names, results_xml
@@ -199,3 +201,27 @@ def test_a_time_without_a_zone_is_in_utc(monkeypatch: pytest.MonkeyPatch) -> Non
     finally:
         monkeypatch.undo()
         time.tzset()
+
+
+def fields_of(body: bytes) -> dict[str, str]:
+    """What a form with this body says."""
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "http.request", "body": body}
+
+    kind = [(b"content-type", b"application/x-www-form-urlencoded")]
+    request = Request({"type": "http", "method": "POST", "headers": kind}, receive)
+    limits = SimpleNamespace(settings=SimpleNamespace(body_bytes=1000, body_s=1.0))
+    return asyncio.run(uws._fields(request, limits))  # type: ignore[arg-type]
+
+
+def test_fields_of_a_form_have_names_in_capitals_and_may_be_empty() -> None:
+    assert fields_of(b"") == {}
+    assert fields_of(b"RunId=a%20b&phase=") == {"RUNID": "a b", "PHASE": ""}
+
+
+@pytest.mark.parametrize("body", [b"RUNID=a&runid=b", b"RUNID", b"RUNID=%ff", b"RUNID=\xff"])
+def test_a_body_that_is_no_form_is_refused_whole(body: bytes) -> None:
+    """A field given twice, without a value, or not in UTF-8."""
+    with pytest.raises(Malformed):
+        fields_of(body)
