@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import uvicorn
 
+from pipeline.errors import BadInput
 from service import main
 
 
@@ -36,3 +37,9 @@ def test_the_address_is_a_url(
         monkeypatch.setattr(module, name, lambda *_: None)  # of this process, not of the tests'
     main.serve(host, 0, tmp_path)
     assert f"serves http://{shown}:{ports[0]} from {tmp_path}" in capsys.readouterr().err
+
+
+def test_an_address_may_stand_in_brackets_and_ports_end_at_65535() -> None:
+    main.bind("[127.0.0.1]", 0).close()
+    with pytest.raises(BadInput, match="--port"):
+        main.bind("127.0.0.1", 65536)
