@@ -35,6 +35,19 @@ def test_a_lease_of_a_clock_that_ran_ahead_is_taken_over(
     engine.dispose()
 
 
+def test_a_lease_taken_at_the_same_instant_ran_not_ahead(
+    database: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that ends a second later did, by a second."""
+    monkeypatch.setattr("service.store.leases.now_s", lambda _: 1000.0)
+    engine = connect(database)
+    assert take(engine, "first", 5.0)
+    assert not take(engine, "second", 5.0)
+    assert take(engine, "second", 4.0)
+    assert "ends 1 s too late" in caplog.text
+    engine.dispose()
+
+
 def test_a_lease_is_counted_from_before_it_was_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
