@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pipeline.execute.check import reference
+from pipeline.execute.sources import zone_of
 from pipeline.physics.drawing.wings import swept_apart
 from pipeline.physics.psf.response import compact_core
 from pipeline.plan.plan import Plan
@@ -15,6 +17,7 @@ from pipeline.plan.response import wing_sweeps as of_sweeps
 from pipeline.plan.response.responses import FAINT_PART, MARGIN, NOTHING_BEYOND
 from pipeline.plan.response.streaks import exact_path
 from pipeline.plan.response.wing_sweeps import wing_sweeps
+from pipeline.plan.response.zones import zone_of_frame
 from pipeline.plan.tiles import Tile
 from tests.execute.test_engines import SIDE, drawn, field, geometry_of, plan_of
 
@@ -113,3 +116,16 @@ def test_the_reference_follows_a_star_where_stars_of_the_window_go_elsewhere(at)
     assert lengths.sum() > 50.0
     assert sure_e > 1e6
     assert exact.sum() > sure_e
+
+
+def test_a_place_has_the_number_of_the_zone_that_it_lies_in():
+    """Row by row, on a frame that is not square, up to its borders; off the frame the nearest."""
+    camera = SimpleNamespace(rows=9, columns=60)
+    responses = SimpleNamespace(streaks=SimpleNamespace(zones=3))
+    plan = SimpleNamespace(camera=camera, responses=responses)
+    u, v = (a.ravel() for a in np.meshgrid([-0.99, 0.0, 0.99], [-0.99, 0.0, 0.99]))
+    for number in range(9):
+        x, y = zone_of_frame(camera, *divmod(number, 3), 3).places(u, v)
+        assert (zone_of(plan, x, y) == number).all()
+    beside = zone_of(plan, np.array([-9.0, 99.0, 30.0, 30.0]), np.array([4.0, 4.0, -9.0, 99.0]))
+    assert beside.tolist() == [3, 5, 1, 7]
