@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from pipeline.physics.motion.streak import POINT, straight
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.response.zones import Zone
 from pipeline.plan.sky.sky import SkyPlan, facts_with_sky
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
@@ -34,6 +36,19 @@ def test_a_streak_of_many_pieces_has_the_noise_of_all_its_pixels() -> None:
         for px in (500.0, 60_000.0)  # 6 pieces, and 625
     ]
     assert found[1] == pytest.approx(found[0], rel=0.01)
+
+
+def test_a_bent_streak_is_as_long_as_its_bend() -> None:
+    """Half a circle of 100 px by a chain of chords, along which light is sent 400 times."""
+    turn = np.linspace(0.0, np.pi, 401)
+    followed = np.empty((401, 2, 3, 3))
+    followed[:, 0], followed[:, 1] = (
+        v[:, None, None] for v in (100.0 * np.cos(turn), 100.0 * np.sin(turn))
+    )
+    streak = SimpleNamespace(followed=followed, zone=Zone(0.0, 9.0, 0.0, 9.0))
+    at = np.array([2.0, 5.0])
+    found = truth._lengths_px(streak, at, at)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found, np.pi * 100.0, rtol=2e-3)
 
 
 def by_hand(light_e: float, length_px: float, noise_e2: float) -> float:
