@@ -19,6 +19,7 @@ from benchmarks.targets import EPOCH, population
 from pipeline.errors import BadInput
 from pipeline.inputs.targets import population_files
 from pipeline.inputs.targets.populations import gather_populations, screened
+from pipeline.physics.positions import orbit_screen
 from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.refraction import refract
 from pipeline.physics.positions.times import instants, parse_utc
@@ -528,3 +529,16 @@ def test_members_may_have_a_table_of_reflectance(tle: Path) -> None:
     members = prepare(scene(tle, population={"body": even})).plan.scene.targets
     assert members
     assert [t.body.albedo for t in members] == pytest.approx([0.2] * len(members))  # type: ignore[union-attr]
+
+
+def test_all_of_the_sky_is_looked_at_from_before_the_first_time_to_past_the_last(
+    tle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Light from as far as the Moon, which left 1.3 s before; no two looks far apart."""
+    asked: list[np.ndarray] = []
+    monkeypatch.setattr(orbit_screen, "sgp4_codes", lambda *given: asked.append(given[2]) or {})
+    look = whole_sky(scene(tle), 100.0, 700.0, 300.0)
+    assert (look.screen([]), look.near_s) == (([], {}), 300.0)
+    assert asked[0][0] < 100.0 - 1.3
+    assert asked[0][-1] > 700.0
+    assert np.diff(asked[0]).max() < 1.1 * orbit_screen.FIRST_STEP_S
