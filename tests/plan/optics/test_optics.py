@@ -16,6 +16,7 @@ from pipeline.physics.psf.sampled import sampled
 from pipeline.physics.psf.seeing import Kolmogorov, Moffat
 from pipeline.physics.radiometry import box, collecting_area_m2
 from pipeline.plan.facts import Facts, gather_facts
+from pipeline.plan.optics.decisions import _changes
 from pipeline.plan.optics.optics import describe, optics_remarks, seeing_remarks
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry
 from pipeline.plan.response.responses import plan_responses
@@ -158,3 +159,19 @@ def test_defocus_is_added_to_a_wavefront_that_has_some(scene: Make) -> None:
         assert isinstance(optics, Pupil)
         off = defocus_um * 1e-6 / (8 * 2.5**2) / (2 * np.sqrt(3))
         assert dict(optics.waves)[4] == pytest.approx((50e-9 + off) / 500e-9)
+
+
+def test_light_changes_along_a_streak_by_the_cosine_off_axis(scene: Make) -> None:
+    """The boresight turns by h to either side of mid-exposure: of a star in a corner at (x, y)
+    tan, the cosine changes by x sin h + 1 - cos h of itself at most."""
+    turned = np.radians(1.0)
+    s = scene({
+        "sensor.focal_length_m": 0.02,
+        "pointing": {
+            "mode": "rate", "boresight_ra_deg": 40.0, "boresight_dec_deg": 0.0,
+            "rate_ra_arcsec_s": 3600.0, "rate_dec_arcsec_s": 0.0,
+        },
+    })  # fmt: skip
+    found = _changes(s, camera_of(s), plan_geometry(s, np.array([0]), 0.0))
+    expected = 383.5 * 10e-6 / 0.02 * np.sin(turned) + 1.0 - np.cos(turned)
+    assert found == pytest.approx(expected, rel=1e-3)
