@@ -73,6 +73,17 @@ def test_airy_over_its_band_as_the_accuracy_asks(scene: Make) -> None:
     assert len(four.band.wavelengths_m) == 4
 
 
+def test_a_band_is_resolved_where_anything_is_drawn_with_it(scene: Make) -> None:
+    """Members of a population too, of which none is known yet."""
+    airy = {"kind": "airy", "wavelengths": 2}
+    ball = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2}
+    crowd = {"populations": [{"name": "crowd", "path": "crowd.tle", "body": ball}]}
+    for drawn, many in ((crowd, True), ({}, False)):
+        band = facts_of(scene({"sensor.psf": airy, "stars": None} | drawn)).band
+        assert band is not None
+        assert (len(band.wavelengths_m) > 1) == many
+
+
 def test_vanes_and_wavefronts_in_waves_of_each_wavelength(scene: Make) -> None:
     psf = {
         "kind": "airy", "wavelengths": 2, "defocus_um": 20.0,
