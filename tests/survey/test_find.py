@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,16 @@ from pipeline.spec.load import load_scene, parse_scene
 from pipeline.spec.scene import Scene
 from pipeline.spec.study import FieldOfRegard, Synthetic
 from pipeline.survey.elements import Elements, synthetic_elements
-from pipeline.survey.find import STREAKED, FindOptions, FoundObjects, _offsets, find
+from pipeline.survey.find import (
+    STREAKED,
+    FindOptions,
+    FoundObjects,
+    _described,
+    _offsets,
+    find,
+)
 from pipeline.survey.search import make_search
-from pipeline.survey.sights import sights_of
+from pipeline.survey.sights import Sights, sights_of
 from pipeline.survey.watch import MOST_LIFT_RAD, PROBE, Watcher, make_watcher
 from tests.command import nightglass
 from tests.survey.conftest import EPOCH, sections, watcher
@@ -175,6 +183,31 @@ def test_objects_that_no_shadow_dims_are_found_beside_those_that_it_does(
     bright = same_as_every_moment(w, at, mixed)
     dim, _ = make_search(w, at, 5.0).of(objects)
     assert len(bright) > len(dim) + 20
+
+
+def test_an_object_is_described_at_its_best_moment() -> None:
+    """In the middle of three, whose axes alone are turned by 90 degrees; the Earth moves there at
+    1e-4 of light's speed across the line of sight, and the place among the stars is behind it."""
+    plain = dict.fromkeys(Sights.__dataclass_fields__, np.array([0.001, 0.002, 0.004]))
+    s = Sights(**plain | {
+        "moment": np.array([2, 3, 5]), "object": np.array([1, 1, 1]),
+        "geometric": np.tile([1.0, 0.0, 0.0], (3, 1)), "snr": np.array([5.0, 9.0, 6.0]),
+    })  # fmt: skip
+    turns, speeds = np.tile(np.eye(3), (6, 1, 1)), np.full((6, 3), 1e7)
+    turns[3], speeds[3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.0, 29979.2458, 0.0]
+    moments = SimpleNamespace(earth_m_s=speeds, to_gcrs=turns, offset_s=60.0 * np.arange(6.0))
+    search: Any = SimpleNamespace(watch=moments, watcher=SimpleNamespace(epoch=EPOCH))
+    elements: Any = SimpleNamespace(name=["a", "b"], number=[7, 8])
+    told = _described(search, elements, s)
+    assert (told["name"], told["number"], told["moments"]) == ("b", 8, 3)
+    assert [told[k][11:16] for k in ("first", "best", "last")] == ["06:02", "06:03", "06:05"]
+    assert told["ra_deg"] == pytest.approx(90.0 - np.degrees(1e-4), abs=1e-7)
+    assert told["dec_deg"] == pytest.approx(0.0, abs=1e-9)
+    assert told["range_km"] == pytest.approx(2e-6)
+    assert (told["elevation_deg"], told["phase_deg"]) == pytest.approx((np.degrees(0.002),) * 2)
+    assert told["rate_arcsec_s"] == pytest.approx(np.degrees(0.002) * 3600.0)
+    assert [told[k] for k in ("sunlit_fraction", "electrons", "streak_px")] == [0.002] * 3
+    assert told["snr"] == 9.0
 
 
 def shown(*options: str) -> dict[str, Any]:
