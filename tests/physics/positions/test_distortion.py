@@ -21,6 +21,7 @@ from pipeline.physics.positions.distortion import (
     TPV_ODD,
     TPV_TERMS,
     Distortion,
+    _covers,
     distortion_of,
     fitted,
     radial,
@@ -406,3 +407,18 @@ def test_no_terms_move_nothing() -> None:
     assert one.half_px == (4.5, 4.5)
     straight = fitted(radial((0.0,) * 3, (0.0, 0.0), 1e-5), 10, 10)
     assert straight.to_detector(np.array([4.0]), np.array([-2.0])) == (4.0, -2.0)
+
+
+@pytest.mark.parametrize(("a", "b", "half_px", "covered"), [
+    ({}, {}, (29.0, 19.0), True), ({}, {}, (25.0, 5.0), True), ({}, {}, (5.0, 25.0), False),
+    ({"1_0": -0.5}, {}, (16.0, 5.0), False), ({}, {"0_1": -0.5}, (5.0, 12.0), False),
+    ({"2_0": 0.005}, {}, (28.0, 5.0), False), ({"0_2": 0.005}, {}, (27.5, 5.0), True),
+    ({"0_2": 0.005}, {}, (28.5, 5.0), False),
+])  # fmt: skip
+def test_a_rectangle_covers_what_its_image_lies_around(
+    a: dict[str, float], b: dict[str, float], half_px: tuple[float, float], covered: bool
+) -> None:
+    """One of 60 px by 40 that is not moved, shrunk along an axis, pushed to a side by up to 4.5 px,
+    or bent: the middles of two sides stay while their ends are pushed by 2 px."""
+    d = replace(sip(a, b), to_pixel=True, half_px=(30.0, 20.0))
+    assert _covers(d, half_px) == covered
