@@ -310,3 +310,13 @@ def test_sizes_of_a_table_of_a_gaussian() -> None:
     s = sampled(gaussian_table((401, 383), (190.0, 201.5), 24.0), 0.25, (190.0, 201.5))
     assert s.scale_px == pytest.approx(6.0 * np.sqrt(2.0 * np.log(2.0)), rel=5e-3)
     assert s.core_px == pytest.approx(1.2 * 6.0 * np.sqrt(2.0 * np.log(100.0)), rel=5e-3)
+
+
+@pytest.mark.parametrize("floor", [0.5, 1e-2, 1e-4])
+def test_the_band_limit_is_where_the_transfer_falls_to_a_floor(floor: float) -> None:
+    """Of a Gaussian exp(-2 (pi sigma f)^2): not before, and at most two rings beyond."""
+    sigma_px = 1.5
+    s = sampled(gaussian_table((64, 48), (31.0, 24.0), 2.0 * sigma_px), 0.5, (31.0, 24.0))
+    falls = np.sqrt(0.5 * np.log(1.0 / floor)) / (np.pi * sigma_px)
+    assert falls <= s.band_limit(floor) <= falls + 2.0 * s.band.step
+    assert s.band_limit(2.0) <= s.band.step  # nothing is above twice all light
