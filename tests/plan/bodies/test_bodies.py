@@ -15,12 +15,13 @@ from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.radiometry import box
 from pipeline.physics.targets.frustum import cylinder_area_function
 from pipeline.physics.targets.plate import box_area_function
-from pipeline.physics.targets.shadow import moon_m, sunlit_past_moon
+from pipeline.physics.targets.shadow import moon_m, sunlit_past_earth, sunlit_past_moon
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 from pipeline.physics.vectors import unit
 from pipeline.plan.bodies.albedos import has_band_albedos, with_band_albedos
 from pipeline.plan.bodies.attitudes import View, needs_velocity
 from pipeline.plan.bodies.bodies import (
+    _finer,
     _sunlit,
     earthshine_m2_sr,
     flicker_share,
@@ -234,6 +235,26 @@ def test_the_moon_hides_a_darkened_sun() -> None:
         found = _sunlit(light, place, sun, (np.array([tt[0]]), np.array([tt[1]])))
         assert found == pytest.approx(sunlit_past_moon(place, sun, moon, darkening))
         assert 0.05 < found[0] < 0.95
+
+
+@pytest.mark.parametrize(
+    "asked", [{"moon": True}, {"limb_darkening": 0.6}, {"oblate_earth": True, "moon": True}]
+)
+def test_each_option_of_lighting_counts_by_itself_in_the_earths_penumbra(
+    asked: dict[str, Any],
+) -> None:
+    """Behind the pole, 0.002 rad beside where the limb stands before the Sun's middle."""
+    tt, sun = tuple(np.array([t]) for t in EPOCH), AU * unit(np.array([[1.0, 0.2, 0.0]]))
+    off = np.arcsin(6.378137e6 / 4.2164e7) + 0.002
+    place = 4.2164e7 * (np.sin(off) * Z - np.cos(off) * unit(sun))
+    found, light = [], Lighting(**asked)
+    assert _finer(light)
+    for darkening in (0.0, 0.6):
+        for oblate in (False, True):
+            found.append(sunlit_past_earth(place, sun, darkening, oblate)[0])
+    assert np.diff(np.sort(found)).min() > 0.01
+    own = found[2 * bool(light.limb_darkening) + bool(light.oblate_earth)]
+    assert _sunlit(light, place, sun, tt) == pytest.approx(own, abs=1e-3)
 
 
 @pytest.mark.parametrize(("closed", "area_m2"), [("base", np.pi), ("none", 0.0)])
