@@ -5,6 +5,7 @@ from __future__ import annotations
 import resource
 import time
 from dataclasses import replace
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import zarr
 
 from pipeline.execute import coordinates
 from pipeline.route import run
+from pipeline.route.finish import _achieved
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import _write_coordinate
@@ -110,3 +112,11 @@ def test_many_frames_are_finished_in_a_millisecond_each(tmp_path, monkeypatch):
     render(scene(1000), tmp_path / "run", HERE)
     assert took["cpu_s"] < 1.0 + 0.5  # half a second for imports
     assert check(tmp_path / "run").whole
+
+
+def test_windows_are_told_by_frame_row_and_column_in_whatever_order_they_come():
+    told = [
+        {"frame": frame, "y0": y0, "x0": x0, "skipped": "by the test"}
+        for frame, y0, x0 in ((0, 0, 256), (0, 256, 0), (1, 0, 0), (1, 0, 256))
+    ]
+    assert all(_achieved(list(one))["checked"] == told for one in permutations(told))
