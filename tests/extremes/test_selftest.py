@@ -15,7 +15,7 @@ from pipeline.cli import app
 from pipeline.commands.studies import selftest as command
 from pipeline.errors import BadInput
 from pipeline.studies.selftest import frames as of_frames
-from pipeline.studies.selftest import places, stars
+from pipeline.studies.selftest import light, places, stars
 from pipeline.studies.selftest.case import CaseResult, LimitingCase, run_case
 from pipeline.studies.selftest.report import all_cases, chosen, markdown
 
@@ -118,6 +118,18 @@ def test_one_wrong_direction_fails_the_case_of_all(name, function, of, tmp_path,
 
     monkeypatch.setattr(places, function, wrong)
     (case,) = chosen(name)
+    assert not run_case(case, tmp_path).passed
+
+
+def test_an_eclipse_off_by_more_than_is_allowed_fails_the_case_of_all(tmp_path, monkeypatch):
+    """One of four, that is neither the first nor the last, by 3e-4 of the sunlight."""
+    right = light.uncovered_fraction
+
+    def wrong(sun, body, apart):
+        return right(sun, body, apart) + (3e-4 if (body, apart) == (0.15, 0.146) else 0.0)
+
+    monkeypatch.setattr(light, "uncovered_fraction", wrong)
+    (case,) = chosen("light/penumbra")
     assert not run_case(case, tmp_path).passed
 
 
