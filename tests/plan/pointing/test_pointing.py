@@ -23,6 +23,7 @@ from pipeline.plan.pointing.geometry import (
     star_paths,
 )
 from pipeline.plan.pointing.motion_runs import mode_states
+from pipeline.plan.pointing.pointing import swept_rad
 from pipeline.plan.pointing.star_paths import excursions_px
 from pipeline.plan.timing import frame_count, frame_times
 from pipeline.spec.scene import Scene
@@ -383,3 +384,11 @@ def test_random_motion_does_not_count_as_a_bend(scene: Make) -> None:
     )
     found = [bend_px(s, plan_geometry(s, np.arange(1), 0.0), 0.0) for s in (shaken, still)]
     assert found[0] <= max(found[1], 1e-6)
+
+
+def test_what_an_exposure_sweeps_is_bounded_by_its_last_rate(scene: Make) -> None:
+    """5 arcsec/s and 1 arcsec/s^2 more: 28 arcsec in the 2 s up to 10 s after the start."""
+    rates = {"rate_ra_arcsec_s": 3.0, "rate_dec_arcsec_s": 4.0,
+             "acceleration_ra_arcsec_s2": 0.6, "acceleration_dec_arcsec_s2": 0.8}  # fmt: skip
+    pointing = scene({"pointing": SIDEREAL | {"mode": "rate"} | rates}).pointing
+    assert 28.0 <= swept_rad(pointing, 10.0, 2.0) / ARCSEC <= 30.0 + 1e-9
