@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -19,6 +20,7 @@ import pytest
 from fastapi.concurrency import run_in_threadpool
 
 from service.app import create_app
+from service.engine.runner import Dispatcher
 from service.jobs.shares import IN_LINE, Shares
 from service.problems import TooMany
 from service.settings import Settings
@@ -204,3 +206,31 @@ def test_a_place_is_given_back_whatever_becomes_of_its_request() -> None:
     with pytest.raises(ValueError, match="fails"):
         asyncio.run(fail(places))
     assert places.held == 0
+
+
+def test_a_dispatcher_knows_whose_turn_was_last_and_fills_its_slots(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two jobs in two slots; then one that has ended makes room, and no scheduler starts any."""
+    queue = [SimpleNamespace(id=f"{k}", team=team) for k, team in enumerate(("red", "blue"))]
+    asked: list[tuple[list[str], int, dict[str, float]]] = []
+    done = threading.Event()
+
+    def claim(busy: list[str], limit: int, turns: dict[str, float], _: str) -> Any:
+        asked.append((busy, limit, dict(turns)))
+        return queue.pop(0) if queue else None
+
+    monkeypatch.setattr(Dispatcher, "_guarded", lambda *_: done.wait())
+    store: Any = SimpleNamespace(engine=None, claim=claim)
+    began, dispatcher = time.monotonic(), Dispatcher(Settings(tmp_path, slots=2), store)
+    assert [dispatcher._step() for _ in range(3)] == [True, True, False]
+    done.set()
+    for thread in dispatcher._busy.values():
+        thread.join()
+    dispatcher.scheduler = SimpleNamespace(fault=lambda: "it is away")  # type: ignore[assignment]
+    assert not dispatcher._step()
+    assert [busy for busy, _, _ in asked] == [[], ["0"], []]
+    assert [limit > 0 for _, limit, _ in asked] == [True, True, False]
+    assert [list(turns) for _, _, turns in asked] == [[], ["red"], ["red", "blue"]]
+    red, blue = asked[-1][2].values()
+    assert began <= red <= blue <= time.monotonic()
