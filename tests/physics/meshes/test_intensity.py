@@ -130,6 +130,17 @@ def test_against_exact_overlap_of_two_plates(sun, seen, side):
     assert abs(light.intensity_m2_sr * np.pi - true) <= np.pi * light.error_m2_sr + 1e-6 * true
 
 
+def test_against_exact_overlap_between_lines_through_the_corners() -> None:
+    """There free lengths are straight and areas exact, though a tenth may be off."""
+    sun, seen, side = (0.31, 0.17), (-0.2, 0.4), 0.8
+    s, o = unit(np.array([*sun, 1.0])), unit(np.array([*seen, 1.0]))
+    mesh = facets(np.concatenate([square(2.0), square(side, (0.0, 0.0, 1.0))]))
+    # shadow and cover lie within the plate below, and share a rectangle
+    both = np.prod([side - abs(a - b) for a, b in zip(sun, seen, strict=True)])
+    true = s[2] * o[2] * (4.0 - side**2 + both)
+    assert g_of(mesh, s, o, 0.1) == pytest.approx(true, rel=1e-9)
+
+
 @pytest.mark.parametrize("sun", [(1.6, 0.1), (1.57, 0.13)])
 def test_against_exact_overlap_what_is_looked_at_again_lies_in_the_same_shadow(sun):
     """Of a plate that does not cover it. Forty plates below, which nobody sees, let the first look
