@@ -86,6 +86,7 @@ def test_same_product_as_in_a_folder(local, made):
     assert not [n for n in objects.names() if ".parts" in n]
     verdict = check(url)
     assert verdict.whole, verdict.faults
+    assert verdict.path == url
     assert (verdict.tiles, verdict.tiles_expected) == (4, 4)
     cube = xr.open_zarr(f"{url}/cube.zarr", chunks=None)
     here = xr.open_zarr(path / "cube.zarr", chunks=None)
