@@ -379,5 +379,5 @@ def test_cut_off_before_it_was_begun(bucket, local, options):
 def test_places_that_do_not_answer(bucket, monkeypatch):
     with pytest.raises(BadInput, match="no-such-bucket"):
         render(parse_scene(SCENE), "s3://no-such-bucket/x", HERE)
-    with pytest.raises(BadInput, match="PRODUCT"):
+    with pytest.raises(BadInput, match=f"PRODUCT: '{bucket}/nothing'"):
         check(f"{bucket}/nothing")
