@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from pipeline.commands import sweep as command
 from pipeline.route.run import Options
 from pipeline.sweep.forecast import forecast_course
 from pipeline.sweep.run import gather_course, run_course
@@ -93,3 +94,15 @@ def test_warnings_of_points_are_told_first_and_kept(sweep_file: Any, tmp_path: P
     dim = sweep_file([bright | {"values": [1e-6, 2e-6]}], {"sensor.bias_dn": 500.0})
     report = run_course(gather_course(dim, tmp_path / "dim"), tmp_path / "dim", Options())
     assert report["warnings"] == []
+
+
+def test_warnings_of_a_service_are_told_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And none by one that is too old to tell of any."""
+    old = {"points": 2, "seconds": 1.0, "failed": 0, "metrics": {}, "messages": {}}
+    for report, first in ((old | {"warnings": ["point 1: bright"]}, "WARNING:"), (old, "")):
+        monkeypatch.setattr(command, "run_there", lambda *_, report=report: report)
+        command._there(tmp_path, tmp_path, "http://there", False, False, None)
+        said = capsys.readouterr()
+        assert (said.err + said.out).startswith(first or str(tmp_path))

@@ -32,7 +32,7 @@ from catalog_tools.query.query import cone
 from catalog_tools.verify import distinct
 from catalog_tools.verify import shards as verify_shards
 from catalog_tools.verify.distinct import Distinct
-from catalog_tools.verify.verify import verify
+from catalog_tools.verify.verify import MOST_REPEATED, _repeated, verify
 
 
 @pytest.fixture(scope="module")
@@ -394,3 +394,10 @@ def test_motions_beyond_those_of_a_row_group_are_named(tmp_path, small, column, 
     (text,) = texts(rewritten(small, tmp_path / "changed", change))
     assert text.startswith(small.leaf(0).path)
     assert said in text
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_as_many_repeated_ids_are_named_as_may_be_and_more_are_told(more):
+    found = _repeated(SimpleNamespace(leaves=[]), list(range(MOST_REPEATED + more)))
+    named = [f for f in found if f.what.startswith("source_id ")]
+    assert (len(named), len(found) - len(named)) == (MOST_REPEATED, more)
