@@ -118,6 +118,8 @@ def test_every_part_is_counted(scene: Any) -> None:
     assert parts(scene({"sensor.psf": {"kind": "gaussian", "sigma_px": 1.0}} | one)) == 2.0
     airy = scene({"sensor.psf": {"kind": "airy"}})
     assert parts(airy) == 5.25  # and the wings' grid and end, the wavelengths
+    for given in ({"wavelengths": 4}, {"wavelength_nm": 650.0}):
+        assert parts(scene({"sensor.psf": {"kind": "airy"} | given})) == 4.25  # as the scene says
     with_sky = scene({"sensor.psf": {"kind": "airy"}, "background": {"zodiacal": True}})
     assert parts(with_sky) == 5.5
     at = {"mode": "sidereal", "boresight_ra_deg": 40.0, "boresight_dec_deg": 25.0}
