@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,15 +22,15 @@ def noted(log, *parts):
 
 def small_graph(frames, tiles, log):
     """Frames of tiles that share a place task in their frame, and one with the frame before."""
-    graph, wanted = {}, []
+    graph, wanted, note = {}, [], partial(noted, log)  # a list among arguments is one of keys
     for f in range(frames):
-        graph["place", f] = (noted, log, 1)
+        graph["place", f] = (note, 1)
         before = [("place", f - 1)] if f else []
         for t in range(tiles):
-            graph["tile", f, 0, t] = (noted, log, [("place", f), *before], t)
+            graph["tile", f, 0, t] = (note, [("place", f), *before], t)
             wanted.append(("tile", f, 0, t))
     for f in range(frames):
-        graph["truth", f] = (noted, log, [("place", f)])
+        graph["truth", f] = (note, [("place", f)])
         wanted.append(("truth", f))
     return graph, wanted
 
@@ -42,6 +44,7 @@ def test_same_work_in_fewer_tasks(frames, tiles, size):
     done = []
     run(*bundled(*small_graph(frames, tiles, together), size), done.append)
     assert sorted(map(repr, plain)) == sorted(map(repr, together))
+    assert len(plain) == frames * (tiles + 2)
     counts = [tiles_done(kind) for kind in done if tiles_done(kind)]
     assert sum(counts) == frames * tiles
     assert max(counts) <= size
