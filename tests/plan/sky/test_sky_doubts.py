@@ -516,3 +516,15 @@ def test_a_planet_is_told_of_its_frame() -> None:
     scene = scene_of({"dwells": dwells, "pointing": away, "accept": ["sun", "moon"]})
     [told] = [w for w in doubts(scene).warnings if w.startswith("Jupiter is in the field")]
     assert 40 <= int(told.split(" frame ")[1].split(":")[0]) < 70
+
+
+@pytest.mark.parametrize(("first", "sure"), [(lamps.TICKS - 2, False), (lamps.TICKS - 1, True)])
+def test_what_may_be_missed_between_two_exposures_is_no_doubt(
+    first: int, sure: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between neighbouring moments of one exposure it is: all turns farther than what is near."""
+    found = SimpleNamespace(turn=np.array([0.2]))
+    monkeypatch.setattr(lamps, "_first", lambda *_: np.array([first, first + 1]))
+    monkeypatch.setattr(lamps, "_look", lambda *_: found)
+    nothing: Any = None
+    assert lamps.look(nothing, 0.0, lambda _: np.array([0.1, 0.3])) == (found, sure)
