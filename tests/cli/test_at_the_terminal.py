@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from pipeline import cli
 from pipeline.commands import pages
 from pipeline.store.product import check
 from tests.command import nightglass
@@ -176,3 +177,19 @@ def test_progress_has_words_a_rate_and_the_time_left(monkeypatch: pytest.MonkeyP
     for words in ("rendering", "12/40 tiles", "2/s", "0:00:14 left"):
         assert words in line, line
     assert len(line) <= 80
+
+
+@pytest.mark.parametrize(("code", "said"), [(130, "nightglass: interrupted"), (1, ""), (0, "")])
+def test_ctrl_c_is_told_where_the_library_took_it_for_an_exit(
+    code: int, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And no other exit is told as Ctrl-C."""
+    monkeypatch.setattr(cli, "app", lambda **_: code)
+    for name in ("_open_streams", "one_heap", "few_collections"):  # of this process
+        monkeypatch.setattr(cli, name, lambda: None)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == code
+    told = capsys.readouterr().err
+    assert told.startswith(said)
+    assert bool(told) == bool(said)
