@@ -297,6 +297,16 @@ def test_elements_are_old_from_three_days_on(epoch: str, told: str | None) -> No
     assert (found is None) if told is None else (found is not None and told in found[1])
 
 
+def test_elements_are_as_old_as_the_times_that_count() -> None:
+    """Fresh in the scene, of 4 days at the end of what is asked for."""
+    scene = parse_scene(SCENE | {"epoch": "2019-04-10T12:00:00Z", "targets": [target(TLE)]})
+    orbit = TleOrbit(**{k: v if k == "kind" else checksum(v) for k, v in TLE.items()})
+    assert _aged(scene, orbit) is None
+    found = _aged(scene, orbit, 0.0, 4.0 * 86_400.0)
+    assert found is not None
+    assert found[1].startswith("elements of 4 days before ")
+
+
 @pytest.mark.parametrize("anomaly_deg", [0.0, 70.0, 180.0, 250.0])
 @pytest.mark.parametrize(("perigee_m", "e"), [(6.9e6, 0.001), (6.9e6, 0.5)])
 def test_what_two_body_motion_leaves_out_is_bounded(
