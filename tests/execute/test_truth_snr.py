@@ -13,7 +13,7 @@ from scipy.special import erf
 from pipeline.execute import truth
 from pipeline.execute.sources import FrameTarget
 from pipeline.execute.truth import matched_snr, star_truth, target_truth
-from pipeline.physics.motion.streak import POINT, straight
+from pipeline.physics.motion.streak import POINT, Path, straight
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.pointing.geometry import plan_geometry
@@ -154,3 +154,10 @@ def test_same_snr_however_many_pixels_are_held_at_a_time(monkeypatch: pytest.Mon
     whole = matched_snr(*wish)
     monkeypatch.setattr(truth, "MOST_VALUES", 5000)  # of some 3000 pixels: one light at a time
     np.testing.assert_array_equal(matched_snr(*wish), whole)
+
+
+def test_light_is_centred_by_what_each_part_of_a_path_has_of_it() -> None:
+    """A quarter in the middle of the first part of a bent path, the rest in that of the second."""
+    path = Path(np.array([-3.0, 1.0, 5.0]), np.array([0.0, 2.0, 2.0]), np.array([0.25, 0.75]))
+    found = truth._centroid(FrameTarget(0, 60.0, 50.0, path, 9.0))
+    assert found == pytest.approx((60.0 - 0.25 + 2.25, 50.0 + 0.25 + 1.5))
