@@ -255,3 +255,14 @@ def test_under_moving_charge_a_place_is_that_of_mid_exposure(scene: Make) -> Non
     since_s = still.offset_s[0] - still.offset_s[0].mean()
     off = moved.target_y_px[0, 0] - still.target_y_px[0, 0]
     np.testing.assert_allclose(off, -60.0 * since_s, atol=1e-6)
+
+
+def test_a_frame_of_a_geometry_is_that_frames_own(scene: Make) -> None:
+    """Every array, of targets too, bit by bit."""
+    s = scene({"observer": LEO, "targets": [GEO_TARGET], "accept": ["sun", "moon", "daylight"],
+               "pointing": {"mode": "target", "target": "geo"}})  # fmt: skip
+    whole = every(s)
+    for k in (1, 3):
+        part, own = whole.frame_slice(k), plan_geometry(s, np.array([k]), 0.0)
+        for f in fields(own):
+            np.testing.assert_array_equal(getattr(part, f.name), getattr(own, f.name), f.name)
