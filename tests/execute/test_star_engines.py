@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from pipeline.arrays import FrameStars
 from pipeline.execute.light import draw_stars
+from pipeline.execute.sources import streaks
 from pipeline.execute.tables import swept_core
 from pipeline.physics.drawing import quadrature
 from pipeline.physics.motion.points import points_along
@@ -30,6 +31,7 @@ from pipeline.plan.response.streaks import POINTS, SHOWN
 from pipeline.plan.rule import PlanBasis
 from pipeline.plan.stars.engines import (
     POINT_ROUNDING,
+    _beyond_s,
     _said_of_bright,
     choose_engines,
     cubic_bound,
@@ -286,3 +288,17 @@ def test_bright_streaks_are_told_by_how_they_are_drawn():
     assert _said_of_bright(core, 3.2, 7.4, 64) == [pieces, points]
     assert _said_of_bright(core, 0.4, 7.4, 0) == [own]
     assert _said_of_bright(core, 2.6, 0.4, 64) == [pieces]
+
+
+def test_of_two_stars_too_bright_for_all_classes_one_crosses_the_frame() -> None:
+    """The forecast lies halfway between none and both; a faint star near it counts for nothing."""
+    plan = plan_of(40.0)
+    g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
+    bright_e = plan.responses.classes[-1].brightest_e
+    light = np.array([1.0, 2.0 * bright_e, 2.0 * bright_e])
+    none, one, both = (
+        _beyond_s(plan, bright_e, streaks(plan, g), StarCounts(light), StarCounts(light[:n]))
+        for n in (0, 2, 3)
+    )
+    assert 0.0 < none < one < both
+    assert one == pytest.approx(0.5 * (none + both))
