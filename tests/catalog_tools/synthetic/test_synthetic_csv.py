@@ -28,7 +28,7 @@ from catalog_tools.synthetic.clusters import CROWDS, PIXEL_DEG, interval_shares,
 from catalog_tools.synthetic.columns import HEADER
 from catalog_tools.synthetic.csv import write_csv_files
 from catalog_tools.synthetic.plan import field_density, make_plan, places_in_file
-from catalog_tools.synthetic.sample import make_sample, table_of_file
+from catalog_tools.synthetic.sample import make_sample, stars_of_file, table_of_file
 
 ROWS = 45_000
 NAME = re.compile(r"GaiaSource_(\d+)_(\d+)\.csv\.gz")
@@ -325,3 +325,10 @@ def test_other_folders_are_left_alone(tmp_path, folder):
     (tmp_path / "bad" / "_made.jsonl").write_text("{\n")
     with pytest.raises(BadInput, match="output"):
         write_csv_files(tmp_path / "bad", 10)
+
+
+def test_every_file_of_every_sample_has_a_random_stream_of_its_own():
+    plans = [make_plan(seed, rows) for seed, rows in ((2, ROWS), (3, 900), (2, 900))]
+    streams = [stars_of_file(plan, k)[1] for plan in plans for k in range(plan.files)]
+    starts = {tuple(s.bit_generator.seed_seq.generate_state(4)) for s in streams}
+    assert len(starts) == len(streams) == 4
