@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from catalog_tools.ingest.ingest import ingest
 from pipeline.inputs.stars.stars import brightest_g_mags, gather_leaf
 from pipeline.physics.colour import ColourFit
+from pipeline.resolve import stars as resolving
 
 FIT = ColourFit("flat", np.zeros(1), (-1.0, 4.0), 0.0, 0.0, 0.8, 0.4, 0.0, 1e10, "by hand", 1)
 
@@ -69,3 +72,17 @@ def test_the_brightest_of_each_leaf_where_pixels_of_two_orders_share_a_number(tm
         g_mag = gather_leaf(made, leaf, None, FIT, 1.0).g_mag
         assert brightest_g_mags(made, leaf, None).min() == pytest.approx(g_mag.min(), abs=1e-5)
         assert brightest_g_mags(made, leaf, g_mag.min() - 0.05).size == 0
+
+
+def test_the_most_that_stars_move_is_that_of_all_their_leaves(monkeypatch):
+    """By themselves, and by parallax."""
+    leaves = [SimpleNamespace(max_proper_motion_mas_yr=m, max_parallax_mas=p)
+              for m, p in ((9.0, 2.0), (4.0, 7.0))]  # fmt: skip
+    monkeypatch.setattr(resolving, "_placed", lambda *_: ([], 2.0))
+    monkeypatch.setattr(
+        resolving, "shards_of", lambda *_: [SimpleNamespace(leaf=leaf) for leaf in leaves]
+    )
+    scene = SimpleNamespace(scene=SimpleNamespace(stars=True))
+    found = resolving.gather_field_stars(scene, (), (), None, None)
+    assert found.own_motion == (9.0, 7.0)
+    assert found.sources is None
