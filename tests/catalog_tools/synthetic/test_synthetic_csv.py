@@ -9,8 +9,9 @@ import signal
 import subprocess
 import sys
 import time
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -24,11 +25,12 @@ from catalog_tools.partition import coarser, healpix_29
 from catalog_tools.query.query import cone
 from catalog_tools.readers import read_tables
 from catalog_tools.star_counts import EDGES_G_MAG, galactic_rad
+from catalog_tools.synthetic import sample
 from catalog_tools.synthetic.clusters import CROWDS, PIXEL_DEG, interval_shares, pixels_of
 from catalog_tools.synthetic.columns import HEADER
 from catalog_tools.synthetic.csv import write_csv_files
 from catalog_tools.synthetic.plan import field_density, make_plan, places_in_file
-from catalog_tools.synthetic.sample import make_sample, stars_of_file, table_of_file
+from catalog_tools.synthetic.sample import make_sample, table_of_file
 
 ROWS = 45_000
 NAME = re.compile(r"GaiaSource_(\d+)_(\d+)\.csv\.gz")
@@ -327,8 +329,19 @@ def test_other_folders_are_left_alone(tmp_path, folder):
         write_csv_files(tmp_path / "bad", 10)
 
 
-def test_every_file_of_every_sample_has_a_random_stream_of_its_own():
-    plans = [make_plan(seed, rows) for seed, rows in ((2, ROWS), (3, 900), (2, 900))]
-    streams = [stars_of_file(plan, k)[1] for plan in plans for k in range(plan.files)]
-    starts = {tuple(s.bit_generator.seed_seq.generate_state(4)) for s in streams}
-    assert len(starts) == len(streams) == 4
+def test_every_file_of_every_sample_has_a_random_stream_of_its_own(monkeypatch):
+    """Told before the first number is drawn from it."""
+    starts = []
+
+    def begun(*_):
+        raise LookupError("what stands in a file")
+
+    def noted(bits):
+        starts.append(tuple(bits.seed_seq.generate_state(4)))
+
+    monkeypatch.setattr(sample, "places_in_file", begun)
+    monkeypatch.setattr(np.random, "Generator", noted)
+    for seed, rows, number in product((2, 3), (900, 901), (0, 1)):
+        with pytest.raises(LookupError):
+            sample.stars_of_file(SimpleNamespace(seed=seed, rows=rows), number)
+    assert len(set(starts)) == 8
