@@ -211,9 +211,9 @@ def test_the_earth_in_between() -> None:
     [
         ("cube", (0.0, 10.0, 10), "--target: 'cube' .*tube, ball"),
         ("ball", (10.0, 5.0, 10), "--stop"),
-        ("ball", (5.0, 5.0, 10), "--stop"),
         ("ball", (0.0, float("nan"), 10), "--stop"),
         ("ball", (0.0, 10.0, 1), "--points"),
+        ("ball", (5.0, 5.0, 10), "--stop"),
     ],
 )
 def test_mistakes(name, times, message) -> None:
