@@ -7,6 +7,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -139,6 +140,15 @@ def test_what_is_quickly_made_is_not_kept(folder, monkeypatch):
     monkeypatch.setattr(store, "WORTH_S", 60.0)
     assert kept_number(("n",), lambda: 1.0) == 1.0
     assert not folder.exists()
+
+
+def test_what_takes_longer_than_it_is_worth_is_kept(folder, monkeypatch):
+    """A second and a half, where a second is worth it."""
+    monkeypatch.setattr(store, "WORTH_S", 1.0)
+    clock = iter([0.0, 1.5])
+    monkeypatch.setattr(store, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    assert kept(("slow",), lambda: {"n": 1})["n"] == 1
+    assert len(list(folder.iterdir())) == 1
 
 
 @pytest.mark.parametrize(("bound", "most"), [("MOST_FILES", 8), ("MOST_BYTES", 8 * 1100.0)])
