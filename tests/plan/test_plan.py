@@ -62,6 +62,8 @@ from pipeline.plan.pointing.star_paths import field_points
 from pipeline.plan.response.decisions import core_ends
 from pipeline.plan.response.responses import ResponsePlan, cut_share, plan_responses
 from pipeline.plan.stars.faint import peak_share
+from pipeline.plan.stars.field_stars import OwnMotion
+from pipeline.plan.stars.shared_frames import _apart_px
 from pipeline.plan.tiles import distance_px, plan_tiles, tile_shape
 from pipeline.spec.scene import Scene
 from tests.plans import plan_from
@@ -604,3 +606,15 @@ def test_the_rows_that_charge_leaves_are_those_of_the_longest_exposure(
         dwells = [{"integration_s": [1.0, longest_s, 0.5], "frames": 3, "cadence_s": 300.0}]
         cut = scene({"sensor.detector": readout, "exposure.cadence_s": None, "dwells": dwells})
         assert any(f"the outer {part} of the rows" in d.reason for d in plan_of(cut).decisions)
+
+
+def test_stars_of_frames_apart_are_as_far_off_as_their_own_motion_takes_them(scene: Make) -> None:
+    """40 s of 1e9 mas a year, on a still camera of 10 um at 1 m; by parallax none: it stands."""
+    s = scene({"sensor.psf": GAUSS})
+    plan, g = plan_of(s), plan_geometry(s, np.array([0, 4]), 0.0)
+    still, fast, near = (
+        _apart_px(plan, g, OwnMotion(*own), 0, 1) for own in ((0.0, 0.0), (1e9, 0.0), (0.0, 1e9))
+    )
+    wanted = np.radians(1e6 * 40.0 / (365.25 * 86_400.0) / 3600.0) / 1e-5
+    assert fast - still == pytest.approx(wanted, rel=1e-6)
+    assert near == pytest.approx(still, abs=1e-9)
