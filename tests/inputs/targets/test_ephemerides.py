@@ -93,7 +93,7 @@ def test_sp3_against_astropy(shared_data: Path) -> None:
 @pytest.mark.parametrize(
     ("scale", "tai_minus_s"),
     [("GPS", 19), ("GAL", 19), ("QZS", 19), ("IRN", 19), ("BDT", 33), ("BDS", 33),
-     ("TAI", 0), ("UTC", 37), ("GLO", 37), ("ccc", 19)],
+     ("TAI", 0), ("UTC", 37), ("GLO", 37), ("ccc", 19), ("   ", 19)],
 )  # fmt: skip
 def test_time_systems_of_sp3(scale: str, tai_minus_s: int, tmp_path: Path) -> None:
     """Each satellite system's midnight in TAI (SP3-d; BeiDou's began with 33 s of leap seconds)."""
