@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from pipeline.cli import app
 from pipeline.errors import BadInput
-from pipeline.studies.accuracy import figure, study
+from pipeline.studies.accuracy import figure, report, study
 from pipeline.studies.accuracy.engines import EngineCase
 from pipeline.studies.accuracy.probes import make_probes
 from pipeline.studies.accuracy.reference import GaussianStar, Track, exact_pixels, straight
@@ -199,3 +199,16 @@ def test_options_of_the_command(monkeypatch: pytest.MonkeyPatch, peers: bool) ->
     [(given, named)] = asked
     assert given == (Path("x"), 9)
     assert (named["quick"], named["peers"], named["satsim_python"]) == (True, peers, "y")
+
+
+@pytest.mark.parametrize(("asked", "taken"), [(7, 7), (20_000, report.QUICK_STARS)])
+def test_a_quick_study_takes_no_more_stars_than_are_asked_for(
+    asked: int, taken: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def told(*work: Any) -> None:
+        raise LookupError(work[:3])
+
+    monkeypatch.setattr(report, "run_study", told)
+    with pytest.raises(LookupError) as seen:
+        report_accuracy(tmp_path, asked, (1024, 2048), quick=True)
+    assert seen.value.args == ((taken, (report.QUICK_PX, report.QUICK_PX), True),)
