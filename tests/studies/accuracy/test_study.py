@@ -17,8 +17,14 @@ from pipeline.cli import app
 from pipeline.errors import BadInput
 from pipeline.studies.accuracy import figure, report, study
 from pipeline.studies.accuracy.engines import EngineCase
-from pipeline.studies.accuracy.probes import make_probes
-from pipeline.studies.accuracy.reference import GaussianStar, Track, exact_pixels, straight
+from pipeline.studies.accuracy.probes import make_probes, probe_count
+from pipeline.studies.accuracy.reference import (
+    AiryStar,
+    GaussianStar,
+    Track,
+    exact_pixels,
+    straight,
+)
 from pipeline.studies.accuracy.report import report_accuracy
 from pipeline.studies.accuracy.study import SHAPES, Record, _record, with_pareto
 
@@ -212,3 +218,12 @@ def test_a_quick_study_takes_no_more_stars_than_are_asked_for(
     with pytest.raises(LookupError) as seen:
         report_accuracy(tmp_path, asked, (1024, 2048), quick=True)
     assert seen.value.args == ((taken, (report.QUICK_PX, report.QUICK_PX), True),)
+
+
+def test_fewer_probes_where_exact_values_take_long() -> None:
+    def count(kind: type, quick: bool) -> int:
+        case: Any = SimpleNamespace(shape=kind.__new__(kind))
+        return probe_count(case, quick)
+
+    assert count(AiryStar, True) == count(GaussianStar, True) < count(AiryStar, False)
+    assert count(AiryStar, False) < count(GaussianStar, False)
