@@ -16,7 +16,15 @@ import pytest
 from star_rows import random_stars, write_csv
 
 from catalog_tools.catalogue import MANIFEST_NAME, _digest, open_catalogue
-from catalog_tools.coverage import Coverage, all_sky, coverage_of, from_json, of_pixels, of_rows
+from catalog_tools.coverage import (
+    Coverage,
+    all_sky,
+    coverage_of,
+    from_json,
+    of_pixels,
+    of_rows,
+    united,
+)
 from catalog_tools.errors import Damaged
 from catalog_tools.fetch.fetched import note_coverage
 from catalog_tools.fetch.layout import RELEASES, Entry, files_coverage
@@ -280,3 +288,11 @@ def test_a_real_field_is_what_its_rows_cover(shared_data, tmp_path):
 def test_ranges_within_others_end_none_of_them():
     coverage = of_pixels("files", 3, [0, 2, 6, 12, 12], [10, 4, 8, 13, 15])
     assert coverage.ranges.tolist() == [[0, 10], [12, 15]]
+
+
+def test_ranges_keep_their_limit_beside_cones_that_have_their_own():
+    """Together they are complete to it at most, whichever comes first."""
+    ranges = replace(of_pixels("ranges", 0, np.array([3]), np.array([4])), faintest_g_mag=17.0)
+    cones = Coverage("cones", cones=np.array([[10.0, 12.0, 3.0, 18.5]]))
+    for parts in ([ranges, cones], [cones, ranges]):
+        assert united(parts).faintest_g_mag == 17.0
