@@ -93,3 +93,10 @@ def test_limits_parallel_directions_give_some_frame() -> None:
 def test_table_must_cover_the_times() -> None:
     with pytest.raises(BadInput, match=r"t\.times_s: '0 to 1' .* covers"):
         table_attitude([0, 1], [[1, 0, 0, 0], [0, 1, 0, 0]], np.array([0.5, 1.5]), "t")
+
+
+@pytest.mark.parametrize("off", [1e-3, 1e-7, 1e-10])
+def test_a_hint_fixes_y_however_near_it_is_to_z(off: float) -> None:
+    """To what rounding leaves of it."""
+    found = axes_towards(np.array([0.0, 0.0, 2.0]), np.array([3.0 * off, 4.0 * off, 1.0]))
+    np.testing.assert_allclose(found[:, 1], [0.6, 0.8, 0.0], atol=1e-5)
