@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from lsst_refcat import convert
 
+from catalog_tools.catalogue import LEAVES_DTYPE
+from catalog_tools.ingest.hats import write_hats_files
 from catalog_tools.ingest.ingest import ingest
 from catalog_tools.query.query import cone
 from catalog_tools.synthetic.synthetic import make_demo
@@ -108,3 +110,12 @@ def test_same_columns_in_lsdb(made):
         left = ours[name].to_numpy(zero_copy_only=False).astype(float)
         right = theirs[name].to_numpy(dtype=float, na_value=np.nan)
         assert np.array_equal(left, right, equal_nan=True), name
+
+
+@pytest.mark.parametrize(("deepest", "order"), [(0, 3), (2, 5), (7, 8)])
+def test_maps_are_eight_times_as_fine_as_the_leaves(tmp_path, deepest, order):
+    """On a side, up to the finest that a map has."""
+    leaves = np.zeros(1, LEAVES_DTYPE)
+    leaves["order"] = deepest
+    counts = np.zeros(12 * 4**8, np.int64)
+    assert write_hats_files(tmp_path, leaves, counts)["hats_skymap_order"] == order

@@ -393,3 +393,10 @@ def test_without_parallax_near_stars_still_hasten(year: float) -> None:
     ).apply_space_motion(new_obstime=tt)  # fmt: skip
     expected = from_angles(there.ra.rad, there.dec.rad)
     assert separation(found, expected).max() < 0.03 * ARCSEC_RAD  # 4.5 arcsec without distances
+
+
+def test_a_cap_beyond_a_hemisphere_is_the_whole_sky() -> None:
+    """And one that is not, is not: of an observer at rest, itself."""
+    centres, still = np.tile([0.0, 0.6, 0.8], (3, 1)), np.tile([1e-9, 0.0, 0.0], (3, 1))
+    _, radii = unaberrated_caps(centres, np.array([1.5, 1.6, 3.0]), still)
+    np.testing.assert_allclose(radii, [1.5, np.pi, np.pi], atol=1e-8)
