@@ -161,3 +161,14 @@ def test_an_object_that_decays_while_it_is_exposed_is_omitted_and_told(tmp_path:
     during = observe(scene, [decay_s - 200.0])
     assert during.table.num_rows == 0
     assert any("1 of 1 element sets omitted" in note for note in during.notes)
+
+
+def test_the_observers_elements_are_as_old_as_the_first_time_too() -> None:
+    """Ten days before the scene they are not known yet; at its own time they are fresh."""
+    line1, line2 = tle(7, 51.6, 10.0, 0.001, 20.0, 30.0, 15.2)
+    orbit = {"kind": "tle", "line1": line1, "line2": line2}
+    air = {"background": {"zodiacal": True}, "observer": {"kind": "orbit", "orbit": orbit}}
+    scene = parse_scene(night(pointing=ASIDE, **air))
+    for first, told in ((-10.0 * DAY_S, True), (0.0, False)):
+        _, notes = groups_of(scene, times_of(scene, [first, 60.0]))
+        assert any("observer: its own orbit: elements of 9.707 days" in n for n in notes) == told
