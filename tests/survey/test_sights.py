@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from skyfield.api import EarthSatellite, load, wgs84
@@ -13,7 +16,7 @@ from pipeline.physics.positions.orbit_screen import states_together
 from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.physics.vectors import separation
 from pipeline.survey.elements import Elements
-from pipeline.survey.sights import Sights, sights_of
+from pipeline.survey.sights import Sights, _observed, sights_of
 from tests.survey.conftest import EPOCH, watcher
 
 ARCSEC = np.radians(1.0 / 3600.0)
@@ -101,3 +104,13 @@ def test_light_is_dimmed_by_the_air_on_its_way(objects: Elements) -> None:
     assert len(s) > 200
     told = -2.5 * np.log10(s.light_e / (s.light * watcher().electrons_per_light))
     np.testing.assert_allclose(told, 0.12 / np.sin(s.elevation), rtol=1e-2)
+
+
+def test_what_a_camera_sees_is_moved_towards_its_own_motion() -> None:
+    """By 1e-4 rad at 1e-4 of light's speed; upwards here."""
+    up, level = np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]])
+    watch: Any = SimpleNamespace(up=up, beta=1e-4 * up)
+    without_air: Any = SimpleNamespace(air_terms=())
+    seen, elevation = _observed(without_air, watch, np.array([0]), level)
+    np.testing.assert_allclose(seen, [[1.0, 0.0, 1e-4]], atol=1e-8)
+    np.testing.assert_allclose(elevation, 1e-4, rtol=1e-6)
