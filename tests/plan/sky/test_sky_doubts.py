@@ -18,6 +18,7 @@ from pipeline.physics.positions.planets import PLANETS, brightest_v_mag
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.pointing import lamps
 from pipeline.plan.pointing.geometry import aimed
+from pipeline.plan.sky import doubts as of_sky
 from pipeline.plan.sky.doubts import Doubts, sky_doubts
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
@@ -528,3 +529,21 @@ def test_what_may_be_missed_between_two_exposures_is_no_doubt(
     monkeypatch.setattr(lamps, "_look", lambda *_: found)
     nothing: Any = None
     assert lamps.look(nothing, 0.0, lambda _: np.array([0.1, 0.3])) == (found, sure)
+
+
+@pytest.mark.parametrize(("light_e", "said"), [(0.4, 0), (0.6, 1)])
+def test_light_of_the_night_is_told_from_the_accuracy_on(
+    light_e: float, said: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A tenth of a noise of 5 e-: of twilight, and of the Moon."""
+    monkeypatch.setattr(of_sky, "_light_e", lambda *_: light_e)
+    scene: Any = SimpleNamespace(background=None, accuracy=SimpleNamespace(noise_fraction=0.1))
+    facts: Any = SimpleNamespace(sigma_floor_e=5.0)
+    seen: Any = SimpleNamespace(
+        moon=SimpleNamespace(elevation=np.array([0.5])),
+        moon_fraction=lambda _: 1e-6,
+        frame=lambda _: 3,
+    )
+    nothing: Any = None
+    assert len(of_sky._little_twilight(scene, facts, nothing, "here", -0.2)) == said
+    assert len(of_sky._no_moonlight(scene, facts, nothing, seen)) == said
