@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.spectral import Sources, draw_spectral, transfer_table
 from pipeline.physics.drawing.spectral_band import band_of, peak_light, sweep_bound
-from pipeline.physics.drawing.spectral_plan import plan_spectral
+from pipeline.physics.drawing.spectral_plan import _grid_errors, plan_spectral
 from pipeline.physics.drawing.spectral_spread import Kernel, spread_onto
 from pipeline.physics.motion.streak import POINT, Path, pieces, transfer
 from pipeline.physics.psf.pupil import Airy, Blur, EllipticalGaussian, Gaussian
@@ -182,3 +183,13 @@ def test_peak_of_a_bent_streak_is_that_of_its_stamps() -> None:
     assert peak_light(core, path) == pytest.approx(max(at), rel=5e-3)
     other = Path(path.x_px, path.y_px, path.weight[::-1])
     assert abs(peak_light(core, other) / max(at) - 1.0) > 0.05
+
+
+def test_errors_of_both_axes_of_a_grid_are_multiplied() -> None:
+    """A tenth on each: 0.21 of what is kept, and of all light."""
+    kept = np.array([1.0, 0.5]), np.array([1.0, 0.25])
+    zeros, unit = np.zeros(2), SimpleNamespace(alias_ratio=lambda turns, _: 0.1 + 0.0 * turns)
+    band = SimpleNamespace(fy=zeros, fx=zeros, integral=lambda a, b: float(np.outer(a, b).sum()))
+    need = SimpleNamespace(band=band, single=False)
+    found = _grid_errors(need, unit, (1.0, 1.0), kept)
+    assert found == pytest.approx((0.21 * 1.5 * 1.25, 0.21))
