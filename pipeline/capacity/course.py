@@ -164,6 +164,7 @@ def make_course(data: JsonObject, out: Path) -> StudyCourse:
             for told in [
                 *sensor_remarks(watcher.resolved.scene, 0.0, study.duration_h * 3600.0),
                 *_not_itself(watcher, elements),
+                *watcher.direction_notes,
             ]
         ),
     )

@@ -235,7 +235,7 @@ def _notes(watcher: Watcher, search: Search, census: Census, request: FindOption
     else:
         least_deg = np.degrees(watcher.refused_rad["earth"])
         limits = f"{max(regard.earth_exclusion_deg, least_deg):g} deg or more from the Earth's limb"
-    notes.append(f"{limits}, {_from_lamps(watcher)}")
+    notes += [f"{limits}, {_from_lamps(watcher)}", *watcher.direction_notes]
     if isinstance(watcher.observer, GroundObserver) and not search.watch.works.any():
         notes.append("it is never dark at these times: `--night` looks at the dark hours")
     return notes + census.lines()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from catalog_tools.engine.code import code_digest
 from pipeline.execute.truth import matched_snr
-from pipeline.kept import kept_array
+from pipeline.kept import kept
 from pipeline.physics.motion.streak import straight
 from pipeline.plan.resolved import ResolvedScene
 
@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 LENGTHS, LIGHTS = 96, 160
 LEAST_E, MOST_E = 1e-2, 1e10
 SLANT_RAD = 0.3927  # 22.5 degrees: streaks along rows and along diagonals err alike
+ASIDE_PX, ASIDE_RAD = 5.0, np.pi * np.array([0.0, 0.25, 0.5, 0.75])  # of streaks held against it
 
 
 @dataclass(frozen=True)
@@ -26,11 +27,13 @@ class SignalTable:
     and of the logarithm of the light.
 
     longest_px : of the table, and of a streak in the frame; of a longer one its part in the frame
-    counts.
+    counts. direction_spread : largest relative change of a faint, short streak's SNR where it
+    lies along rows, columns or a diagonal, of one phase of its pixels
     """
 
     log_snr: Array
     longest_px: float
+    direction_spread: float
 
     def snr(self, light_e: Array, length_px: Array) -> Array:
         """SNR (n,) of light (n,) [e-] spread over streaks (n,) [px]; linear between the table's
@@ -56,10 +59,16 @@ def signal_table(resolved: ResolvedScene) -> SignalTable:
     light = np.geomspace(LEAST_E, MOST_E, LIGHTS)
     middle = np.full(LIGHTS, 0.5 * (camera.columns - 1)), np.full(LIGHTS, 0.5 * (camera.rows - 1))
 
-    def make() -> Array:
+    def make() -> dict[str, Array]:
         lengths = _length_at(np.linspace(0.0, 1.0, LENGTHS) * _of_length(longest))
         paths = [straight(length, SLANT_RAD) for length in lengths]
-        return np.log([matched_snr(resolved, path, light, *middle) for path in paths])
+        snr = [matched_snr(resolved, path, light, *middle) for path in paths]
+        short = min(ASIDE_PX, longest)
+        faint, *others = (
+            matched_snr(resolved, straight(short, angle), light[:1], x, y)
+            for angle in (SLANT_RAD, *ASIDE_RAD)
+        )
+        return {"log_snr": np.log(snr), "spread": np.abs(np.divide(others, faint) - 1.0).max()}
 
     x, y = (v[:1] for v in middle)
     of_response = tuple((blur, float(share[0])) for blur, _, share in r.parts(x, y, np.ones(1)))
@@ -67,7 +76,8 @@ def signal_table(resolved: ResolvedScene) -> SignalTable:
     of_noise = floor_e2, resolved.facts.flat, resolved.scene.sensor.photon_noise
     size = longest, LENGTHS, LIGHTS
     content = "signal", code_digest(), of_response, r.usual_px, of_noise, size
-    return SignalTable(kept_array(content, make), longest)
+    found = kept(content, make)
+    return SignalTable(found["log_snr"], longest, float(found["spread"]))
 
 
 def _of_length(length_px: Array | float) -> Array:

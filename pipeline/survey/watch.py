@@ -47,6 +47,7 @@ GALACTIC_POLE = from_angles(*np.array([192.859_48, 27.128_25]) * DEG_RAD)  # J20
 CHANGING = ("moonlight", "twilight", "stray_light")  # parts of the sky that come and go
 DISCS_RAD = {"sun": 0.0048, "moon": 0.005, "earth": 0.0}  # radii on the sky, at most; of the limb
 LEAST_NOISE = 1e-3  # of the table's, squared: no sky is darker than its thousandth
+OF_DIRECTION = 0.02  # of SNR, that is not told
 MOST_LIFT_RAD = 0.0125  # by the air, at the horizon, with room
 PROBE = {  # a target, so that the Sun's light in the band is worked out
     "name": "probe",
@@ -174,6 +175,17 @@ class Watcher:
         if self.sky is None:
             return told + ", the same everywhere and always"
         return told + " above it at the start without what comes and goes; each object its own"
+
+    @property
+    def direction_notes(self) -> list[str]:
+        """That SNR depends on how a streak lies, where it does by more than OF_DIRECTION."""
+        spread = self.signal.direction_spread
+        if self.tracks or spread <= OF_DIRECTION:
+            return []
+        return [
+            "SNR is that of streaks at 22.5 degrees to the rows: faint ones along rows, columns or "
+            f"diagonals have up to {100.0 * spread:.0f}% more or less (narrow or uneven images)"
+        ]
 
     @property
     def dwell_s(self) -> float:

@@ -171,9 +171,9 @@ def test_signal_tables_are_kept_by_all_that_they_follow_from(
         lambda of=resolve(scene(base | change)).scene: signal.signal_table(of)
         for change in (*same, *asked)
     ]
-    found = digests(monkeypatch, signal, "kept_array", calls)
+    found = digests(monkeypatch, signal, "kept", calls)
     assert len(set(found)) == len(asked)
     assert len(set(found[: len(same) + 1])) == 1
     monkeypatch.setattr(signal, "LENGTHS", 24)
-    [coarse] = digests(monkeypatch, signal, "kept_array", calls[:1])
+    [coarse] = digests(monkeypatch, signal, "kept", calls[:1])
     assert coarse not in found

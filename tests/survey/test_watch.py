@@ -10,6 +10,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.time import Time
+from scipy.special import erf
 
 from pipeline.physics.vectors import from_angles, separation, unit
 from pipeline.spec.pointing.observer import GroundObserver
@@ -211,3 +212,33 @@ def test_below_the_first_angle_of_a_curve_nothing_is_looked_at(tmp_path: Path) -
     assert {k: np.degrees(v) for k, v in w.refused_rad.items()} == pytest.approx(
         dict.fromkeys(("sun", "moon", "earth"), 30.0 + corner), rel=1e-6
     )
+
+
+def share_in_pixels(sigma_px: float, length_px: float, angle_rad: float) -> Array:
+    """A Gaussian swept along a straight line, centred on a pixel's middle, pixel by pixel."""
+    along = np.linspace(-0.5, 0.5, 2001) * length_px
+    edges = np.arange(-12.5, 13.0)
+    x, y = (
+        0.5 * np.diff(erf((edges - at[:, None]) / (np.sqrt(2.0) * sigma_px)))
+        for at in (along * np.cos(angle_rad), along * np.sin(angle_rad))
+    )
+    return np.einsum("ki,kj->ij", y, x) / len(along)
+
+
+@pytest.mark.parametrize("sigma_px", [0.9, 0.3])
+@pytest.mark.usefixtures("coarse_signal")
+def test_how_much_the_way_that_streaks_lie_changes_is_told(sigma_px: float) -> None:
+    """Faint light: its SNR goes as the root of the sum of squares of what its pixels get of it."""
+    asked = sections()
+    asked["sensor"] = CAMERA | {"psf": {"kind": "gaussian", "sigma_px": sigma_px}}
+    slant, *others = (
+        np.sqrt(np.sum(share_in_pixels(sigma_px, 5.0, np.radians(angle)) ** 2))
+        for angle in (22.5, 0.0, 45.0)
+    )
+    spread = max(abs(other / slant - 1.0) for other in others)
+    w = make_watcher(asked, FieldOfRegard(), EPOCH, False)
+    assert w.signal.direction_spread == pytest.approx(spread, abs=3e-3)
+    assert (spread > 0.1) == (sigma_px == 0.3)
+    told = [f"up to {100.0 * spread:.0f}% more or less"] if sigma_px == 0.3 else []
+    assert [note.split("have ")[1].split(" (")[0] for note in w.direction_notes] == told
+    assert make_watcher(asked, FieldOfRegard(), EPOCH, True).direction_notes == []
