@@ -22,7 +22,7 @@ from pipeline.physics.positions.earth import earth_and_sun, teme_to_gcrs
 from pipeline.physics.positions.focal_plane import corner_radius
 from pipeline.physics.positions.times import Instants, format_utc, instants
 from pipeline.physics.targets.shadow import MOON_RADIUS_M, moon_m
-from pipeline.physics.vectors import from_angles, separation, unit
+from pipeline.physics.vectors import angular_radius, from_angles, separation, unit
 from pipeline.plan.bodies.orbits import orbit_states
 from pipeline.plan.pointing.air import terms_of
 from pipeline.plan.pointing.geometry import zenith_pointing
@@ -239,7 +239,7 @@ class Watcher:
         own while some of the body is in sight."""
         path = body - place
         elevation = 0.5 * np.pi - separation(path, up)
-        radius = np.arcsin(radius_m / np.sqrt(np.sum(path**2, axis=-1)))
+        radius = angular_radius(radius_m, path)
         hidden = hidden_rad(self.resolved.scene, place, path, elevation) > radius
         regard = getattr(self.regard, f"{name}_exclusion_deg") * DEG_RAD
         return np.where(hidden, regard, max(regard, self.refused_rad[name]))
