@@ -18,17 +18,12 @@ from pipeline.spec.load import parse_scene
 from pipeline.store.product import content_digest
 from pipeline.sweep.run import point_scene, sweep
 from tests.extremes.scenes import random_scene
-from tests.extremes.stock import Stock, make_stock
+from tests.extremes.stock import Stock
 from tests.slow import slow
 
 FEW = Options("synchronous", most_cpu_s=15.0, most_memory_mb=2000.0)
 CHEAP = Options("synchronous", most_cpu_s=5.0, most_memory_mb=1000.0)
 Data = dict[str, Any]
-
-
-@pytest.fixture(scope="module")
-def stock(tmp_path_factory: pytest.TempPathFactory) -> Stock:
-    return make_stock(tmp_path_factory.mktemp("stock"))
 
 
 @pytest.mark.parametrize(("seeds", "least"), [slow(range(90), 30)])

@@ -15,16 +15,11 @@ from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import parse_scene
 from tests.extremes import fuzz
 from tests.extremes.scenes import LARGE_PX, SMALL_PX, broken, random_scene
-from tests.extremes.stock import Stock, make_stock
+from tests.extremes.stock import Stock
 
 FEW, MANY, ALL = 25, 1000, 300
 SEEDS = tuple(np.random.default_rng(0).permutation(ALL)[:4].tolist())
 CALM = [HealthCheck.too_slow, HealthCheck.data_too_large]
-
-
-@pytest.fixture(scope="module")
-def stock(tmp_path_factory) -> Stock:
-    return make_stock(tmp_path_factory.mktemp("fuzz"))
 
 
 def judged(seeds: Sequence[int], stock: Stock, side_px: int, workers: int) -> None:

@@ -5,14 +5,9 @@ from __future__ import annotations
 import pytest
 
 from tests.extremes.relations import broken
-from tests.extremes.stock import Stock, make_stock
+from tests.extremes.stock import Stock
 
 FEW, MANY = (148,), range(100)  # FEW: a quick one, for which all relations hold
-
-
-@pytest.fixture(scope="module")
-def stock(tmp_path_factory: pytest.TempPathFactory) -> Stock:
-    return make_stock(tmp_path_factory.mktemp("relations"))
 
 
 def test_relations_hold(stock: Stock) -> None:
