@@ -60,6 +60,22 @@ LIMITS = {
 FINAL = ("COMPLETED", "ERROR", "ABORTED")
 
 
+def is_dead(process: psutil.Process) -> bool:
+    """Whether a process ended, be it that what took it over never asks after it."""
+    try:
+        return process.status() in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
+    except psutil.NoSuchProcess:
+        return True
+
+
+def dies(process: psutil.Process, limit_s: float = 5) -> bool:
+    """Whether a process ends within a time."""
+    deadline = time.monotonic() + limit_s
+    while not is_dead(process) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return is_dead(process)
+
+
 @pytest.fixture
 def scene() -> dict[str, Any]:
     """A scene without stars that renders in about a second; a copy to change at will."""
@@ -176,7 +192,7 @@ class Server:
     def workers(self) -> list[psutil.Process]:
         """The processes of the engine that run."""
         every = [worker for fork in self.forks() for worker in fork.children()]
-        return [worker for worker in every if worker.status() != psutil.STATUS_ZOMBIE]
+        return [worker for worker in every if not is_dead(worker)]
 
     def submit(self, scene: dict[str, Any], **headers: str) -> str:
         answer = self.client.post("/v1/jobs", json=scene, headers=headers)

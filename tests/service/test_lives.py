@@ -19,6 +19,7 @@ from service.engine.attempts import Attempt
 from service.jobs.jobs import Phase, Queue
 from service.jobs.submissions import Ask, TeamLimits, submit_many
 from service.store.database import sqlite_url
+from tests.service.conftest import dies, is_dead
 
 
 @pytest.fixture
@@ -202,14 +203,14 @@ def test_work_goes_on_though_what_forks_the_engine_dies(
     done = server.ended(first)
     assert (done["phase"], done["attempt"]) == ("COMPLETED", 1)
     server.until(second, lambda found: (found["tiles_done"] or 0) >= 2)
-    assert not worker.is_running()
+    assert is_dead(worker)
     [other], [worker] = server.forks(), server.workers()
     assert other.pid != fork.pid
     other.kill()
     assert server.client.post(f"{second}/cancel").status_code == 202
     assert server.ended(second)["phase"] == "ABORTED"
-    worker.wait(5)
+    assert dies(worker)
     assert server.ended(server.submit(scene))["phase"] == "COMPLETED"
     [last] = server.forks()
     server.kill()
-    last.wait(5)  # it ends with its server
+    assert dies(last)  # with its server
