@@ -251,8 +251,7 @@ class Watcher:
         anything is."""
         r, n = self.regard, len(offsets_s)
         if not isinstance(self.observer, GroundObserver):
-            height = np.sqrt(np.sum(place**2, axis=-1))
-            limb = np.arcsin(np.minimum(1.0, EARTH_EQUATORIAL_RADIUS_M / height))
+            limb = angular_radius(EARTH_EQUATORIAL_RADIUS_M, place)
             least = max(r.earth_exclusion_deg * DEG_RAD, self.refused_rad["earth"])
             return limb + least - 0.5 * np.pi, np.ones(n, bool)
         sun_elevation = 0.5 * np.pi - separation(sun - place, up)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pipeline.physics.constants import EARTH_EQUATORIAL_RADIUS_M, EARTH_FLATTENING
 from pipeline.physics.positions.times import instants
-from pipeline.physics.vectors import unit
+from pipeline.physics.vectors import angular_radius, unit
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def limb_angle(observer_m: Array, direction: Array) -> Array:
     """
     distance = np.sqrt(np.sum(observer_m * observer_m, axis=-1))
     cosine = -np.sum(observer_m * direction, axis=-1) / distance
-    disc = np.arcsin(np.minimum(1.0, EARTH_EQUATORIAL_RADIUS_M / distance))
+    disc = angular_radius(EARTH_EQUATORIAL_RADIUS_M, observer_m)
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)) - disc)
 
 

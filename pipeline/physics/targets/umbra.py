@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.physics.constants import ARCSEC_RAD, EARTH_EQUATORIAL_RADIUS_M, SUN_RADIUS_M
-from pipeline.physics.vectors import separation
+from pipeline.physics.vectors import angular_radius, separation
 
 Array = NDArray[np.float64]
 
@@ -33,8 +33,7 @@ def umbra_fraction(target_geocentric_m: Array, sun_from_earth_m: Array) -> Array
     target = np.asarray(target_geocentric_m, float)
     to_sun = np.asarray(sun_from_earth_m, float) - target
     r = np.sqrt(np.sum(target * target, axis=-1))
-    a = np.arcsin(SUN_RADIUS_M / np.sqrt(np.sum(to_sun * to_sun, axis=-1)))
-    b = np.arcsin(np.minimum(EARTH_EQUATORIAL_RADIUS_M / r, 1.0))
+    a, b = angular_radius(SUN_RADIUS_M, to_sun), angular_radius(EARTH_EQUATORIAL_RADIUS_M, target)
     c = separation(to_sun, -target)
     bend = np.maximum(b - c - a, 0.0)
     leg = np.sqrt(np.maximum(r * r - EARTH_EQUATORIAL_RADIUS_M**2, 0.0))

@@ -25,7 +25,7 @@ from pipeline.physics.positions.focal_plane import (
 )
 from pipeline.physics.positions.planets import OFF_RAD, PLANETS, brightest_v_mag, planet_m
 from pipeline.physics.targets.shadow import MOON_RADIUS_M, moon_m
-from pipeline.physics.vectors import separation, unit
+from pipeline.physics.vectors import angular_radius, separation, unit
 from pipeline.plan.bodies.sights import Moments
 from pipeline.plan.pointing.air import air_of
 from pipeline.plan.pointing.geometry import aimed, camera_of, check_view
@@ -195,8 +195,7 @@ def _earth(scene: Scene, camera: Camera, attitude: Array, place_m: Array) -> Lam
         off_frame = separation(corners, down[:, None]).min(axis=-1)
         return Lamp(off_axis, off_frame, radius, seen, seen)
     down = unit(-place_m)
-    height = np.sqrt(np.sum(place_m**2, axis=-1))
-    radius = np.arcsin(np.minimum(1.0, EARTH_EQUATORIAL_RADIUS_M / height))
+    radius = angular_radius(EARTH_EQUATORIAL_RADIUS_M, place_m)
     off_axis = separation(attitude[:, 2], down)
     return Lamp(off_axis, _off_frame(camera, attitude, down, off_axis), radius, seen, seen)
 
@@ -216,8 +215,7 @@ def _lamp(
     radius_m: float,
 ) -> Lamp:
     """A body at vectors (n, 3) from the observer, who sees it in directions (n, 3)."""
-    distance = np.sqrt(np.sum(body_m**2, axis=-1))
-    radius = np.arcsin(np.minimum(1.0, radius_m / distance))
+    radius = angular_radius(radius_m, body_m)
     elevation = 0.5 * np.pi - separation(body_m, _upright(at.observer_m))
     off_axis = separation(attitude[:, 2], towards)
     return Lamp(
@@ -254,7 +252,7 @@ def hidden_rad(scene: Scene, place_m: Array, body_m: Array, elevation: Array) ->
         dip = math.acos(radius / (radius + max(o.height_m, 0.0)))
         return -elevation - dip - REFRACTED_RAD
     height, distance = (np.sqrt(np.sum(v**2, axis=-1)) for v in (place_m, body_m))
-    limb = np.arcsin(np.minimum(1.0, EARTH_EQUATORIAL_RADIUS_M / height))
+    limb = angular_radius(EARTH_EQUATORIAL_RADIUS_M, place_m)
     return np.where(distance < height, -np.pi, limb - separation(body_m, -place_m))
 
 

@@ -25,7 +25,7 @@ from pipeline.physics.sky.pst import Pst
 from pipeline.physics.targets.eclipse import sunlit_fraction
 from pipeline.physics.targets.lighting import phase_angle
 from pipeline.physics.targets.shadow import MOON_RADIUS_M, moon_m, sunlit_past_earth
-from pipeline.physics.vectors import separation
+from pipeline.physics.vectors import angular_radius, separation
 from pipeline.plan.decision import Decision
 from pipeline.plan.pointing.geometry import camera_of
 from pipeline.spec.pointing.observer import GroundObserver
@@ -119,7 +119,7 @@ def _sun(inputs: StrayInputs, place: Array, sun: Array) -> _Body:
     distance = float(np.sqrt(to_sun @ to_sun))
     lit = float(sunlit_fraction(place[None], sun)[0])
     rate = inputs.sun_rate * lit * (ASTRONOMICAL_UNIT_M / distance) ** 2
-    radius = float(np.arcsin(min(1.0, SUN_RADIUS_M / distance)))
+    radius = float(angular_radius(SUN_RADIUS_M, to_sun))
     return _Body(to_sun / distance, radius, rate)
 
 
@@ -130,18 +130,18 @@ def _moon(inputs: StrayInputs, place: Array, sun: Array, moon: Array) -> _Body:
     # The Earth before the Moon's disc, and its shadow on the Moon.
     lit = _seen_past_earth(place, to_moon, MOON_RADIUS_M)
     lit *= float(sunlit_past_earth(moon[None], sun)[0])
-    radius = float(np.arcsin(min(1.0, MOON_RADIUS_M / distance)))
+    radius = float(angular_radius(MOON_RADIUS_M, to_moon))
     return _Body(to_moon / distance, radius, float(share) * inputs.moon_rate * lit)
 
 
 def _seen_past_earth(place: Array, to_body: Array, radius_m: float) -> float:
     """Share of a round body's disc that stands beside the Earth's, as linear in its height."""
     distance = float(np.sqrt(place @ place))
-    limb = float(np.arcsin(min(1.0, EARTH_EQUATORIAL_RADIUS_M / distance)))
+    limb = float(angular_radius(EARTH_EQUATORIAL_RADIUS_M, place))
     range_m = float(np.sqrt(to_body @ to_body))
     if range_m < distance:
         return 1.0  # nearer than the Earth
-    radius = float(np.arcsin(min(1.0, radius_m / range_m)))
+    radius = float(angular_radius(radius_m, to_body))
     above = float(separation(to_body, -place)) - limb
     return float(np.clip(0.5 + 0.5 * above / radius, 0.0, 1.0))
 
@@ -163,8 +163,8 @@ def _earth(
     checked: bool,
 ) -> Array:
     """Electrons/s/m2 of focal plane (n,) of the Earth's disc; turn : (3, 3) to its own axes."""
-    height, distance = float(np.sqrt(place @ place)), float(np.sqrt(sun @ sun))
-    radius = float(np.arcsin(min(1.0, EARTH_EQUATORIAL_RADIUS_M / height)))
+    distance = float(np.sqrt(sun @ sun))
+    radius = float(angular_radius(EARTH_EQUATORIAL_RADIUS_M, place))
     from_limb = separation(u, -place[None]) - radius
     beside, light = from_limb > 0.0, np.zeros(len(u))
     if beside.any():
