@@ -14,7 +14,8 @@ from pipeline.route.run import render
 from pipeline.spec.load import load_scene, parse_scene
 from pipeline.spec.study_load import read_study
 from pipeline.store.cube import open_cube
-from pipeline.sweep.run import check, gather_course
+from pipeline.sweep.check import check
+from pipeline.sweep.run import gather_course
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENES = [*sorted((ROOT / "examples").glob("*.yaml")), ROOT / "pipeline" / "scenes" / "demo.yaml"]
@@ -33,7 +34,7 @@ def test_scene_is_valid_and_complete(path):
 def test_sweep_is_valid(path, tmp_path):
     """Its axes, its first, middle and last points, by the check that a run begins with."""
     course = gather_course(path, tmp_path / "out")
-    names, _, _ = check(course)
+    names = check(course).names
     assert names == ("chaser",)
     assert course.sweep.points == 40
 

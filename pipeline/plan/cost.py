@@ -32,6 +32,11 @@ def least_cpu_s(scene: Scene) -> float:
     return START_S + frame_count(scene) * frame_s + CHECK_S * check_count(scene)
 
 
+def least_noise_s(pixel_frames: int) -> float:
+    """CPU seconds that so many pixels take of which nothing is kept, as those of sweeps."""
+    return START_S + pixel_frames * NOISE_S_PER_PIXEL
+
+
 def check_count(scene: Scene) -> int:
     """How many cells have windows drawn again: none where there are no sources."""
     if not (scene.stars or scene.targets or scene.populations):

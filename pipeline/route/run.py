@@ -48,7 +48,7 @@ class Options:
     scheduler : threads, synchronous, processes, or an address; workers : None for all cores
     resume : go on with an unfinished product; replace : remove what stands at the path first
     wait_s : how long another render of the same product is waited for
-    most_cpu_s : a scene whose plan predicts more is refused before anything is drawn
+    most_cpu_s : a scene or sweep predicted to take more is refused before anything is drawn
     most_memory_mb : likewise of memory; None: what this machine has free, unless others draw
     """
 

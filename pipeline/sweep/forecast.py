@@ -14,9 +14,9 @@ from pipeline.plan.cost import CHUNK_S, NOISE_S_PER_PIXEL, START_S, TILE_S
 from pipeline.plan.needs import predict
 from pipeline.spec.load import parse_scene
 from pipeline.spec.sweep import Grid, axis_length
+from pipeline.sweep.check import check
 from pipeline.sweep.dependence import AFTER_LIGHT, light_is_shared
 from pipeline.sweep.points import Course, scene_of, set_field, with_floor
-from pipeline.sweep.run import check
 from pipeline.sweep.stages import Base, stages
 
 LOOKED_AT = 3  # points whose plan tells the cost of light
@@ -30,7 +30,7 @@ def forecast_course(course: Course) -> JsonObject:
     that keeps them; cpu_s : of one core, all points in one process. Raises BadInput as the sweep
     itself would.
     """
-    warnings = check(course)[2]
+    warnings = check(course).warnings
     design, run = course.design, stages(course.run)
     shared = light_is_shared(scene_of(course, design, 0))
     spots = dict.fromkeys(k * (design.size - 1) // max(1, LOOKED_AT - 1) for k in range(LOOKED_AT))

@@ -13,8 +13,7 @@ from uuid import uuid4
 from catalog_tools.documents import JsonObject
 from catalog_tools.engine.schedulers import Scheduler, open_scheduler
 from catalog_tools.storage.durable import write_atomically
-from pipeline.errors import BadInput, DiskFull, Incomplete, NightglassError
-from pipeline.route.prepare import Prepared, prepare
+from pipeline.errors import BadInput, DiskFull, Incomplete
 from pipeline.route.run import Options
 from pipeline.spec.load import parse_text, path_holders
 from pipeline.spec.scene import Scene
@@ -22,11 +21,12 @@ from pipeline.spec.sweep import Sweep
 from pipeline.spec.sweep_load import load_sweep
 from pipeline.store.layout import full_disk, only_writer
 from pipeline.sweep import ledger
+from pipeline.sweep.check import Checked, check
 from pipeline.sweep.dependence import AFTER_LIGHT
+from pipeline.sweep.forecast import forecast_course
 from pipeline.sweep.ledger import PointLedger
 from pipeline.sweep.points import (
     Course,
-    check_axes,
     files_of,
     floors_of,
     light_group,
@@ -39,7 +39,6 @@ from pipeline.sweep.task import run_points
 
 GROUP = 16  # points of one task, at most
 GROUPED = 4096  # points among which those that share their light are brought together
-MOST_TARGETS = 64
 
 Listener = Callable[["SweepProgress"], None]
 Warned = Callable[[list[str]], None]
@@ -93,10 +92,12 @@ def _run_course(
     warn: Warned | None,
 ) -> JsonObject:
     started = time.perf_counter()
-    names, digests, warnings = check(course)
+    checked = check(course, options)
+    _check_cost(course, checked, options.most_cpu_s)
+    names, warnings = checked.names, checked.warnings
     if warn is not None:
         warn(warnings)
-    identity = ledger.identity_of(course.sweep, course.data, digests, files_of(course))
+    identity = ledger.identity_of(course.sweep, course.data, checked.digests, files_of(course))
     ledger.begin(out, identity, options.resume)
     with only_writer(out):
         schema = ledger.schema_of(course.sweep, names)
@@ -123,6 +124,16 @@ def _run_course(
         ledger.seal(out)
         book.drop_parts()
         return report
+
+
+def _check_cost(course: Course, checked: Checked, most_cpu_s: float | None) -> None:
+    """BadInput where the points together are predicted to take more than is allowed."""
+    size = course.design.size
+    if most_cpu_s is None or size * checked.point_cpu_s <= most_cpu_s:
+        return
+    if (asked := forecast_course(course)["cpu_s"]) > most_cpu_s:
+        allowed = f"a sweep of at most {most_cpu_s:g} CPU s (predicted: {asked:.0f})"
+        raise BadInput("axes", f"{size} points", allowed)
 
 
 def gather_course(path: Path, out: Path) -> Course:
@@ -159,47 +170,6 @@ def _from(home: Path, value: object) -> object:
     if not isinstance(value, str) or "://" in value:
         return value
     return str((home / Path(value).expanduser()).resolve())
-
-
-def check(course: Course) -> tuple[tuple[str, ...], list[str], list[str]]:
-    """Refuse a sweep that can't be run; names of the targets measured, digests of catalogues, and
-    the warnings of the points that are planned.
-
-    Every axis is tried field by field, and the first, middle and last points are planned: a sweep
-    is refused where none of them can be, a point that fails later is recorded.
-    """
-    design = course.design
-    check_axes(course)
-    faults: list[NightglassError] = []
-    found: Prepared | None = None
-    warnings: dict[str, int] = {}
-    points = dict.fromkeys((0, design.size // 2, design.size - 1))
-    for point in points:
-        try:
-            one = prepare(scene_of(course, design, point))
-        except NightglassError as error:
-            faults.append(error)
-            continue
-        found = found or one
-        for warning in one.plan.warnings:
-            warnings.setdefault(warning, point)
-    if found is None:
-        raise faults[0]
-    said = [f"point {point}: {warning}" for warning, point in warnings.items()]
-    return _measured(course, found), [c.digest for c in found.catalogues], said
-
-
-def _measured(course: Course, found: Prepared) -> tuple[str, ...]:
-    """Names of the targets measured. BadInput for one that is not there, and for too many."""
-    known = tuple(t.name for t in found.plan.scene.targets)
-    names = known if course.sweep.targets is None else course.sweep.targets
-    for i, name in enumerate(names):
-        if name not in known:
-            raise BadInput(f"targets.{i}", name, f"the name of a target: {', '.join(known[:10])}")
-    if len(names) > MOST_TARGETS and {"snr", "detection"} & set(course.sweep.metrics):
-        allowed = f"targets: a list of up to {MOST_TARGETS} names to measure"
-        raise BadInput("targets", f"{len(names)} targets", allowed)
-    return names
 
 
 def point_scene(path: Path, point: int) -> Scene:

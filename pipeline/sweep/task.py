@@ -18,7 +18,7 @@ from pipeline.errors import NO_ROOM, DiskFull, NightglassError, shorten
 from pipeline.execute.tile import TileSources, charge_of_tile, render_tile
 from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile
-from pipeline.route.prepare import prepare
+from pipeline.route.prepare import check_room, prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.scene import Scene
 from pipeline.store.cube import CubeWriter
@@ -90,6 +90,7 @@ def _begin(course: Course, kept: Stages, design: Design, number: int) -> _Point:
         scene = scene_of(course, design, number)
         point.row["seed"] = scene.seed
         scene, base = with_floor(course, kept, scene)
+        check_room(base.prepared)
         maps = maps_of(kept, base, scene)
         plan = point_plan(base, scene, maps)
         names = sweep.targets

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.errors import BadInput
+from pipeline.plan.cost import least_noise_s
 from pipeline.plan.timing import frame_count
 from pipeline.spec.load import path_holders
 from service.problems import NotAllowed
@@ -60,6 +61,9 @@ def accept_sweep(
     if parsed.points > settings.sweep_points:
         allowed = f"at most {settings.sweep_points} points"
         raise NotAllowed(f"axes: {allowed}", (("axes", parsed.points, allowed),))
+    if (least := least_noise_s(parsed.points * each)) > settings.job_cpu_s:
+        allowed = f"a sweep of at most {settings.job_cpu_s:g} CPU s (forecast: {least:.0f})"
+        raise NotAllowed(f"axes: {allowed}", (("axes", parsed.points, allowed),))
     return data | {"scene": base.as_dict()}, parsed.points * each
 
 
@@ -109,7 +113,10 @@ def run_sweep(order: JsonObject, listen: object) -> JsonObject:
             holder[key] = str(here / value)
     file.write_text(json.dumps(sweep))
     options = Options(
-        scheduler=order["scheduler"], workers=order["workers"], resume=order["resume"]
+        scheduler=order["scheduler"],
+        workers=order["workers"],
+        resume=order["resume"],
+        most_cpu_s=order["most_cpu_s"],
     )
     try:
         report = import_module(RUNNER).sweep(file, product, options, False, listen)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from pipeline.commands import sweep as command
+from pipeline.errors import BadInput
 from pipeline.route.run import Options
 from pipeline.sweep.forecast import forecast_course
 from pipeline.sweep.run import gather_course, run_course
@@ -106,3 +107,36 @@ def test_warnings_of_a_service_are_told_first(
         command._there(tmp_path, tmp_path, "http://there", False, False, None)
         said = capsys.readouterr()
         assert (said.err + said.out).startswith(first or str(tmp_path))
+
+
+def test_limits_hold_for_sweeps(
+    sweep_file: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """CPU seconds, of which points that share their light count it once; memory, of all points, and
+    of one alone, which fails by itself."""
+    course = gather_course(sweep_file(AXES, seeds=2), tmp_path / "out")
+    told = forecast_course(course)
+    least, most = told["cpu_s"], told["alone_cpu_s"]
+    assert least < 0.5 * most
+    for options, field in (
+        (Options("synchronous", most_cpu_s=0.5 * least), "axes"),
+        (Options("synchronous", most_memory_mb=100.0), "sensor.shape"),
+    ):
+        with pytest.raises(BadInput, match=f"{field}.*at most") as refused:
+            run_course(course, tmp_path / "out", options)
+        assert refused.value.field == field
+        assert not (tmp_path / "out").exists()
+    sides, own_tiles = [[48, 48], [50, 50], [52, 52], [1024, 1024]], {"output.tile_shape": None}
+    courses = [
+        gather_course(
+            sweep_file([{"field": "sensor.shape", "values": v}], own_tiles), tmp_path / "out"
+        )
+        for v in (sides, sides[:1], sides[-1:])
+    ]
+    free = sum(forecast_course(c)["worker_memory_mb"] for c in courses[1:]) / 2.0
+    monkeypatch.setattr("pipeline.route.prepare.free_mb", lambda: free)
+    options = Options("synchronous", most_cpu_s=1e4)
+    report = run_course(courses[0], tmp_path / "out", options)
+    assert report["failed"] == 1
+    [message] = report["messages"]
+    assert f"the {free:.0f} MB of memory" in message

@@ -12,8 +12,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import BadInput
+from pipeline.plan.cost import least_noise_s
 from pipeline.sweep.ledger import is_complete
 from service.client import Client
+from service.problems import NotAllowed
+from service.scenes.sweeps import accept_sweep
+from service.settings import Settings
 
 pytest.importorskip("pipeline.sweep.run", reason="the runner of sweeps is not there")
 
@@ -137,3 +141,23 @@ def test_base_scenes_that_are_refused(server: Any, sweep: dict[str, Any]) -> Non
     wrong["scene"]["sensor"]["flat"] = "/etc/passwd"
     assert server.client.post("/v1/sweeps", json=wrong).status_code == 422
     assert server.client.post("/v1/sweeps", json=sweep["scene"]).status_code == 422
+
+
+def test_a_sweep_may_not_take_too_long(
+    make_server: Any, sweep: dict[str, Any], tmp_path: Path
+) -> None:
+    """As a scene: by the noise of its points when it is sent, by its plan before it is drawn."""
+    pixels = 4 * 2 * 64 * 64
+    asked = least_noise_s(1000 * pixels)
+    many = sweep | {"seeds": 1000}
+    assert accept_sweep(many, Settings(tmp_path, job_cpu_s=asked + 0.1))[1] == 1000 * pixels
+    with pytest.raises(NotAllowed, match=r"axes: a sweep of at most .* CPU s \(forecast: 5\)"):
+        accept_sweep(many, Settings(tmp_path, job_cpu_s=asked - 0.1))
+    server = make_server(NIGHTGLASS_JOB_CPU_S="3.55")
+    less = copy.deepcopy(sweep)
+    less["scene"]["accuracy"] = {"check_cells": 0}
+    job = server.client.post("/v1/sweeps", json=less)
+    assert job.status_code == 202, job.text
+    ended = server.ended(job.headers["location"])
+    assert ended["phase"] == "ERROR"
+    assert "a sweep of at most 3.55 CPU s" in str(ended["error"]), ended

@@ -1,0 +1,73 @@
+"""Whether a sweep can be run: every axis is tried, and three of its points are planned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pipeline.errors import BadInput, NightglassError
+from pipeline.plan.needs import predict
+from pipeline.route.prepare import Prepared, check_room, prepare
+from pipeline.route.run import Options
+from pipeline.sweep.points import Course, check_axes, scene_of
+
+MOST_TARGETS = 64
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What the points that were planned tell of a sweep.
+
+    names : of the targets measured; digests : of catalogues
+    point_cpu_s : CPU seconds that the dearest of them is predicted to take by itself
+    """
+
+    names: tuple[str, ...]
+    digests: list[str]
+    warnings: list[str]
+    point_cpu_s: float
+
+
+def check(course: Course, options: Options | None = None) -> Checked:
+    """Refuse a sweep that can't be run.
+
+    options : of the run, for what this machine must hold; None: of one that is told only
+    Every axis is tried field by field, and the first, middle and last points are planned: a sweep
+    is refused where none of them can be, a point that fails later is recorded.
+    """
+    design = course.design
+    check_axes(course)
+    faults: list[NightglassError] = []
+    found: list[Prepared] = []
+    warnings: dict[str, int] = {}
+    for point in dict.fromkeys((0, design.size // 2, design.size - 1)):
+        try:
+            one = prepare(scene_of(course, design, point))
+            if options is not None and (options.processes or options.most_memory_mb):
+                check_room(one, options.most_memory_mb, options.processes)
+        except NightglassError as error:
+            faults.append(error)
+            continue
+        found.append(one)
+        for warning in one.plan.warnings:
+            warnings.setdefault(warning, point)
+    if not found:
+        raise faults[0]
+    return Checked(
+        _measured(course, found[0]),
+        [c.digest for c in found[0].catalogues],
+        [f"point {point}: {warning}" for warning, point in warnings.items()],
+        max(predict(one.plan, one.forecast, one.spent)["cpu_s"] for one in found),
+    )
+
+
+def _measured(course: Course, found: Prepared) -> tuple[str, ...]:
+    """Names of the targets measured. BadInput for one that is not there, and for too many."""
+    known = tuple(t.name for t in found.plan.scene.targets)
+    names = known if course.sweep.targets is None else course.sweep.targets
+    for i, name in enumerate(names):
+        if name not in known:
+            raise BadInput(f"targets.{i}", name, f"the name of a target: {', '.join(known[:10])}")
+    if len(names) > MOST_TARGETS and {"snr", "detection"} & set(course.sweep.metrics):
+        allowed = f"targets: a list of up to {MOST_TARGETS} names to measure"
+        raise BadInput("targets", f"{len(names)} targets", allowed)
+    return names
