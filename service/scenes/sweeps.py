@@ -14,7 +14,7 @@ from pipeline.plan.cost import least_noise_s
 from pipeline.plan.timing import frame_count
 from pipeline.spec.load import path_holders
 from service.problems import NotAllowed
-from service.scenes.scenes import HasFile, accept_scene
+from service.scenes.scenes import HasFile, accept_scene, product_bytes_of
 from service.scenes.uploads import engine_scene
 from service.settings import Settings
 
@@ -64,6 +64,11 @@ def accept_sweep(
     if (least := least_noise_s(parsed.points * each)) > settings.job_cpu_s:
         allowed = f"a sweep of at most {settings.job_cpu_s:g} CPU s (forecast: {least:.0f})"
         raise NotAllowed(f"axes: {allowed}", (("axes", parsed.points, allowed),))
+    kept = len(parsed.cubes) if isinstance(parsed.cubes, tuple) else parsed.points
+    asked = 0 if parsed.cubes == "none" else kept * product_bytes_of(base)
+    if asked > settings.product_bytes:
+        allowed = f"points of at most {settings.product_bytes} bytes in all (asked: {asked})"
+        raise NotAllowed(f"cubes: {allowed}", (("cubes", parsed.cubes, allowed),))
     return data | {"scene": base.as_dict()}, parsed.points * each
 
 

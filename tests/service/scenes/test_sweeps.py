@@ -161,3 +161,17 @@ def test_a_sweep_may_not_take_too_long(
     ended = server.ended(job.headers["location"])
     assert ended["phase"] == "ERROR"
     assert "a sweep of at most 3.55 CPU s" in str(ended["error"]), ended
+
+
+@pytest.mark.parametrize(("cubes", "kept"), [("all", 4), ([1, 3], 2), ("none", 0)])
+def test_products_of_points_count_together(
+    sweep: dict[str, Any], tmp_path: Path, cubes: Any, kept: int
+) -> None:
+    """Each has two frames of 64 x 64 pixels, 2 bytes of `dn` and 4 of the mean."""
+    sweep["scene"]["output"] = {"layers": ["dn", "mean_e"]}
+    one = 2 * 64 * 64 * (2 + 4)
+    wanted = sweep | {"cubes": cubes}
+    accept_sweep(wanted, Settings(tmp_path, product_bytes=max(kept, 1) * one))
+    if kept > 1:
+        with pytest.raises(NotAllowed, match=f"cubes: points .* \\(asked: {kept * one}\\)"):
+            accept_sweep(wanted, Settings(tmp_path, product_bytes=kept * one - 1))
