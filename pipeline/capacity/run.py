@@ -7,7 +7,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -50,12 +50,14 @@ class StudyOptions:
     """How a study is run; none of it changes a number.
 
     yes : also where the forecast is beyond MOST_CPU_S
+    most_cpu_s : what is forecast to take more is refused; None: beyond MOST_CPU_S, unless `yes`
     """
 
     scheduler: str = "processes"
     workers: int | None = None
     resume: bool = False
     yes: bool = False
+    most_cpu_s: float | None = None
 
 
 Listener = Callable[[SweepProgress], None]
@@ -90,13 +92,14 @@ def run_study(
     out = out.absolute()  # Arrow takes the `a:b` of a relative `a:b/c.parquet` for a kind of URL
     if study.points == 1:
         return _run_point(data, folder, out, options, listen)
+    _check_cost(forecast_of(data, folder)["cpu_s"], options)
     ledger.begin(out, {"study": data}, options.resume, "study")
     rows = []
     for point in range(study.points):
         own, values = _at_point(data, study, point)
         place = out / "points" / f"{point:04d}"
         place.parent.mkdir(exist_ok=True)
-        again = StudyOptions(options.scheduler, options.workers, place.exists(), options.yes)
+        again = replace(options, resume=place.exists())
         report = _run_point(own, folder, place, again, listen)
         rows.append({"point": point, **values, **report["figures"]})
     with whole_file(out / POINTS) as table:
@@ -105,6 +108,17 @@ def run_study(
     write_atomically(out / REPORT, json.dumps(whole, indent=2) + "\n")
     ledger.seal(out, (POINTS, REPORT))
     return whole
+
+
+def _check_cost(cpu_s: float, options: StudyOptions) -> None:
+    """BadInput for a study that is forecast to take longer than is meant."""
+    most_cpu_s = options.most_cpu_s or MOST_CPU_S
+    if cpu_s > most_cpu_s and not options.yes:
+        remedy = "shorten it" if options.most_cpu_s else "shorten it, or --yes"
+        hours = cpu_s / 3600.0
+        told = f"{hours:.0f}" if hours >= 10.0 else f"{hours:.2g}"
+        allowed = f"up to {most_cpu_s / 3600.0:.3g} h: {remedy}"
+        raise BadInput("study", f"{told} h of one core", allowed)
 
 
 def _at_point(data: JsonObject, study: Study, point: int) -> tuple[JsonObject, JsonObject]:
@@ -135,10 +149,7 @@ def _run_point(
     started = time.perf_counter()
     study = parse_study(data)
     course = make_course(_placed(data, folder), out)
-    cpu_s = course.forecast["cpu_s"]
-    if cpu_s > MOST_CPU_S and not options.yes:
-        told = f"{cpu_s / 3600.0:.0f} h of one core"
-        raise BadInput("study", told, f"up to {MOST_CPU_S / 3600.0:g} h: shorten it, or --yes")
+    _check_cost(course.forecast["cpu_s"], options)
     ledger.begin(out, {"format": study.schema_, "study": course.key}, options.resume, "study")
     with full_disk(out), only_writer(out):
         if ledger.is_complete(out, OBJECTS):

@@ -40,6 +40,8 @@ def run_study(order: JsonObject, listen: Any) -> JsonObject:
     """Run a stored study, in the worker's process."""
     from pipeline.capacity import run
 
-    options = run.StudyOptions(order["scheduler"], order["workers"], order["resume"])
+    options = run.StudyOptions(
+        order["scheduler"], order["workers"], order["resume"], most_cpu_s=order["most_cpu_s"]
+    )
     run.run_study(order["scene"], Path.cwd(), Path(order["product"]), options, listen)
     return {"tiles": 0, "content_digest": None}

@@ -17,7 +17,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.capacity.course import make_course
-from pipeline.capacity.run import StudyOptions, _is_whole, _searched, run_study
+from pipeline.capacity.run import StudyOptions, _is_whole, _searched, forecast_of, run_study
+from pipeline.errors import BadInput
 from pipeline.sweep.ledger import PointLedger
 from tests.command import nightglass
 
@@ -90,6 +91,24 @@ def test_options_of_the_command(
     assert (report["hours"], report["figures"]["objects"]) == (0.5, 10)
     assert "--resume" in nightglass(*run, "--yes").stderr
     assert json.loads(nightglass(*run, "--yes", "--resume").stdout) == report
+
+
+def test_points_are_forecast_together(
+    data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before any is begun: each of them alone is within the limit."""
+    data |= {"duration_h": 0.5, "seeds": 4}
+    data["catalogue"]["synthetic"]["objects"] = 10
+    asked = forecast_of(data, tmp_path)["cpu_s"]
+    for most in (asked / 3.0, None):
+        monkeypatch.setattr("pipeline.capacity.run.MOST_CPU_S", most or asked / 3.0)
+        options = StudyOptions("synchronous", most_cpu_s=most)
+        with pytest.raises(BadInput, match=r"h of one core.*shorten it") as refused:
+            run_study(data, tmp_path, tmp_path / "out", options)
+        assert ("--yes" in str(refused.value)) == (most is None)
+        assert not (tmp_path / "out").exists()
+    report = run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous", yes=True))
+    assert len(report["points"]) == 4
 
 
 DIES = """
