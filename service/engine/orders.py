@@ -80,17 +80,19 @@ def _judge(order: JsonObject, _: Say) -> JsonObject:
     return {"outcome": "done"}
 
 
-def _render(order: JsonObject, say: Say) -> JsonObject:
-    options = Options(
+def _options(order: JsonObject) -> Options:
+    return Options(
         scheduler=order["scheduler"],
         workers=order["workers"],
         resume=order["resume"],
         most_cpu_s=order["most_cpu_s"],
     )
+
+
+def _render(order: JsonObject, say: Say) -> JsonObject:
+    scene, product = parse_scene(order["scene"]), Path(order["product"])
     with _tiles_told(order):
-        report = render(
-            parse_scene(order["scene"]), Path(order["product"]), options, _listener(say)
-        )
+        report = render(scene, product, _options(order), _listener(say))
     return {
         "outcome": "done",
         "tiles": report["tiles"],
@@ -101,7 +103,7 @@ def _render(order: JsonObject, say: Say) -> JsonObject:
 def _sweep(order: JsonObject, say: Say) -> JsonObject:
     from service.scenes.sweeps import run_sweep
 
-    return {"outcome": "done"} | run_sweep(order, _listener(say))
+    return {"outcome": "done"} | run_sweep(order, _options(order), _listener(say))
 
 
 def _study(order: JsonObject, say: Say) -> JsonObject:

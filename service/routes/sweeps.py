@@ -10,9 +10,9 @@ from service.accounts.teams import pixel_frames_of
 from service.context import Service
 from service.http.bodies import TEXTS, digest_of, media_type, parse_text, read_body
 from service.routes.jobs import DryRun, IdempotencyKey, check_key, json_body, taken, with_time
-from service.scenes.sweeps import accept_sweep, can_run
+from service.scenes.sweeps import accept_sweep
 
-router = APIRouter(prefix="/v1/sweeps", tags=["sweeps"], include_in_schema=can_run())
+router = APIRouter(prefix="/v1/sweeps", tags=["sweeps"])
 SWEEP_BODY = json_body("A sweep: a base scene and axes over its keys.", TEXTS)
 
 

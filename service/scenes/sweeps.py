@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-import json
-from importlib import import_module
-from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.errors import BadInput
 from pipeline.plan.cost import least_noise_s
 from pipeline.plan.timing import frame_count
 from pipeline.spec.load import path_holders
+from pipeline.spec.sweep_load import parse_sweep
 from service.problems import NotAllowed
 from service.scenes.scenes import HasFile, accept_scene, product_bytes_of
 from service.scenes.uploads import engine_scene
 from service.settings import Settings
 
-RUNNER, MODELS = "pipeline.sweep.run", "pipeline.spec.sweep_load"
+if TYPE_CHECKING:
+    from pipeline.route.run import Options
+    from pipeline.sweep.run import Listener
+
 # What would change how large the points are, or what they read: every point is as the base scene.
 FIXED = (
     "sensor.shape",
@@ -31,14 +33,6 @@ FIXED = (
 )
 
 
-def can_run() -> bool:
-    """Whether this installation holds the runner of sweeps."""
-    try:
-        return find_spec(RUNNER) is not None
-    except ModuleNotFoundError:
-        return False
-
-
 def accept_sweep(
     data: JsonValue, settings: Settings, has_file: HasFile | None = None
 ) -> tuple[JsonObject, int]:
@@ -47,9 +41,7 @@ def accept_sweep(
 
     Raises BadInput, InvalidScene, NotAllowed.
     """
-    if not can_run():
-        raise NotAllowed("sweeps cannot be run by this installation")
-    parsed = import_module(MODELS).parse_sweep(data)
+    parsed = parse_sweep(data)
     if not isinstance(parsed.scene, dict):
         allowed = "the base scene itself: over REST no file is read"
         raise NotAllowed(f"scene: {allowed}", (("scene", parsed.scene, allowed),))
@@ -102,31 +94,13 @@ def _check_value(number: int, field: str, value: object) -> None:
             raise NotAllowed(f"axes[{number}]: {allowed}", ((f"axes[{number}]", value, allowed),))
 
 
-def run_sweep(order: JsonObject, listen: object) -> JsonObject:
-    """Run a stored sweep, in the worker's process. Its file lies beside the product meanwhile."""
-    from pipeline.route.run import Options
+def run_sweep(order: JsonObject, options: Options, listen: Listener) -> JsonObject:
+    """Run a stored sweep, in the worker's process, from whose folder the files of its base are."""
+    from pipeline.sweep.run import course_of, run_course
 
     product = Path(order["product"])
-    file = product.with_name(f"{product.name}.sweep.json")
-    sweep = order["scene"]
-    here = Path.cwd()
-    for _, holder, key in path_holders(sweep["scene"]):
-        value = holder.get(key)
-        if isinstance(value, list):
-            holder[key] = [str(here / name) for name in value]
-        elif isinstance(value, str):
-            holder[key] = str(here / value)
-    file.write_text(json.dumps(sweep))
-    options = Options(
-        scheduler=order["scheduler"],
-        workers=order["workers"],
-        resume=order["resume"],
-        most_cpu_s=order["most_cpu_s"],
-    )
-    try:
-        report = import_module(RUNNER).sweep(file, product, options, False, listen)
-    finally:
-        file.unlink(missing_ok=True)
+    course = course_of(parse_sweep(order["scene"]), Path.cwd(), product)
+    report = run_course(course, product, options, False, listen)
     return {"tiles": report["points"], "content_digest": None}
 
 

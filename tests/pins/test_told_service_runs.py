@@ -805,7 +805,7 @@ def _health(clock: Clock, folder: Path) -> list[str]:
         for step in (0.0, 1.9, 0.2):
             clock.now += step
             lines.append(f"{health_.fault()} {len(asked)}")
-    return [*lines, asked[0], SchedulerHealth("threads").fault(), f"{sweeps.can_run()}"]
+    return [*lines, asked[0], SchedulerHealth("threads").fault()]
 
 
 def _gone() -> None:
@@ -990,21 +990,24 @@ def _workers_told(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> list[s
         "stars": {"catalogue": ["a", "b"]},
         "sensor": {"bandpass": {"path": "upload:x.csv"}},
     }
-    stored = sweeps.engine_sweep({"scene": scene}, settings)
+    axes = [{"field": "seed", "values": [1, 2]}]
+    sweep = {"schema": "nightglass/sweep/1", "name": "s", "scene": scene, "axes": axes}
+    stored = sweeps.engine_sweep(sweep, settings)
 
-    def runs(file: Path, out: Path, options: Any, again: bool, listen: Any) -> dict[str, Any]:
-        lines.append(f"{file} {file.read_text()} {out} {options.resume} {options.workers} {again}")
+    def runs(course: Any, out: Path, options: Any, again: bool, listen: Any) -> dict[str, Any]:
+        lines.append(f"{json.dumps(course.data)} {out} {options} {again}")
         for done, doing in ((0, "start"), (1, ""), (2, "start")):
             listen(SimpleNamespace(done=done, total=3, doing=doing))
         return {"points": 5}
 
-    monkeypatch.setattr(sweeps, "import_module", lambda _: SimpleNamespace(sweep=runs))
+    monkeypatch.setattr("pipeline.sweep.run.run_course", runs)
     order = {
         "scene": stored,
         "product": "../products/z",
         "scheduler": "threads",
         "workers": 1,
         "resume": True,
+        "most_cpu_s": 9.0,
     }
     lines += [
         str(orders._sweep(order, partial(worker._say, said))),
@@ -1031,8 +1034,7 @@ def _workers_told(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> list[s
         "stars",
     ):
         lines.append(told(sweeps._check_axis, 2, {"field": field, "values": [1]})[:150])
-    monkeypatch.setattr(sweeps, "find_spec", lambda _: None)
-    return [*lines, f"{sweeps.can_run()}", told(sweeps.accept_sweep, {}, settings)]
+    return [*lines, told(sweeps.accept_sweep, {}, settings)]
 
 
 def _truth(product: Path) -> None:

@@ -19,8 +19,6 @@ from service.problems import NotAllowed
 from service.scenes.sweeps import accept_sweep
 from service.settings import Settings
 
-pytest.importorskip("pipeline.sweep.run", reason="the runner of sweeps is not there")
-
 
 @pytest.fixture
 def sweep(scene: dict[str, Any]) -> dict[str, Any]:
