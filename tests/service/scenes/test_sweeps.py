@@ -91,6 +91,10 @@ def test_by_the_command_line(
 
 
 def test_a_sweep_is_a_job(server: Any, sweep: dict[str, Any]) -> None:
+    """Its base scene reads a file that was sent."""
+    content = b"wavelength_nm,transmission\n400,0.5\n900,0.5\n"
+    sent = server.client.post("/v1/files?name=band.csv", content=content).json()["id"]
+    sweep["scene"]["sensor"]["bandpass"] = {"kind": "table", "path": sent}
     key = {"idempotency-key": "sweep"}
     made = server.client.post("/v1/sweeps", json=sweep, headers=key)
     assert made.status_code == 202, made.text
@@ -103,7 +107,8 @@ def test_a_sweep_is_a_job(server: Any, sweep: dict[str, Any]) -> None:
     assert table.num_rows == 4
     assert server.client.get(f"{job}/report").json()["points"] == 4
     assert server.client.get(f"{job}/preview.png").status_code == 404
-    assert not list((server.home / "products").glob("*.sweep.json"))
+    for href in files.values():
+        assert str(server.home).encode() not in server.client.get(href).content, href
 
 
 BAD: dict[str, list[dict[str, Any]]] = {
