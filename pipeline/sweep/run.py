@@ -15,7 +15,7 @@ from catalog_tools.engine.schedulers import Scheduler, open_scheduler
 from catalog_tools.storage.durable import write_atomically
 from pipeline.errors import BadInput, DiskFull, Incomplete
 from pipeline.route.run import Options
-from pipeline.spec.load import parse_text, path_holders
+from pipeline.spec.load import parse_text, place_paths
 from pipeline.spec.scene import Scene
 from pipeline.spec.sweep import Sweep
 from pipeline.spec.sweep_load import load_sweep
@@ -156,20 +156,9 @@ def course_of(request: Sweep, folder: Path, out: Path) -> Course:
         data, home = json.loads(json.dumps(request.scene)), folder
     if not isinstance(data, dict):
         raise BadInput("scene", data, "a scene: a mapping of sections")
-    for _, holder, key in path_holders(data):
-        if key in holder:
-            holder[key] = _from(home, holder[key])
+    place_paths(data, home)
     floors = floors_of(request, str(folder))
     return Course(request, data, str(folder), floors, uuid4().hex, str(out.resolve()))
-
-
-def _from(home: Path, value: object) -> object:
-    """A path as it is seen from everywhere."""
-    if isinstance(value, list):
-        return [_from(home, v) for v in value]
-    if not isinstance(value, str) or "://" in value:
-        return value
-    return str((home / Path(value).expanduser()).resolve())
 
 
 def point_scene(path: Path, point: int) -> Scene:
