@@ -94,7 +94,8 @@ def run_study(
         return _run_point(data, folder, out, options, listen)
     _check_cost(forecast_of(data, folder)["cpu_s"], options)
     ledger.begin(out, {"study": data}, options.resume, "study")
-    rows = []
+    rows: list[JsonObject] = []
+    notes: dict[str, int] = {}
     for point in range(study.points):
         own, values = _at_point(data, study, point)
         place = out / "points" / f"{point:04d}"
@@ -102,9 +103,11 @@ def run_study(
         again = replace(options, resume=place.exists())
         report = _run_point(own, folder, place, again, listen)
         rows.append({"point": point, **values, **report["figures"]})
+        notes |= {note: point for note in report["notes"] if note not in notes}
     with whole_file(out / POINTS) as table:
         pq.write_table(pa.Table.from_pylist(rows), table)
-    whole = {"study": study.name, "points": rows}
+    told = [f"point {point}: {note}" for note, point in notes.items()]
+    whole = {"study": study.name, "points": rows, "notes": told}
     write_atomically(out / REPORT, json.dumps(whole, indent=2) + "\n")
     ledger.seal(out, (POINTS, REPORT))
     return whole

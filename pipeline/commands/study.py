@@ -73,6 +73,7 @@ def _print_report(report: JsonObject, output: Path) -> None:
     figures = report.get("figures")
     if figures is None:
         print(f"{output}: {len(report['points'])} points; {output / 'points.parquet'}")
+        _print_notes(report.get("notes", []))  # a server may be older
         return
     print(f"{output}: {report['study']}, {report['hours']:g} h in {report['seconds']:.1f} s")
     for name, value in figures.items():

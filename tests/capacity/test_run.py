@@ -38,22 +38,24 @@ def test_points_have_their_values_of_all_axes_and_their_seeds(
     told = pq.read_table(out / "points.parquet").to_pylist()
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
     assert json.loads((out / "report.json").read_text()) == report
-    assert report == {"study": data["name"], "points": told}
+    assert (report["study"], report["points"]) == (data["name"], told)
     sealed = json.loads((out / "_COMPLETE").read_text())["files"]
     assert sealed == {
         name: hashlib.sha256((out / name).read_bytes()).hexdigest()
         for name in ("points.parquet", "report.json")
     }
-    found = []
+    found, notes = [], []
     for row in told:
         place = out / "points" / f"{row['point']:04d}"
         own = json.loads((place / "study.json").read_text())
         values = own["sensors"][0]["count"], own["cameras"][0]["sensor"]["aperture_m"], own["seed"]
         keys = "sensors.0.count", "cameras.0.sensor.aperture_m", "seed"
         assert tuple(row[k] for k in keys) == values
-        figures = json.loads((place / "report.json").read_text())["figures"]
-        assert {k: row[k] for k in figures} == figures
+        alone = json.loads((place / "report.json").read_text())
+        assert {k: row[k] for k in alone["figures"]} == alone["figures"]
+        notes += [note for note in alone["notes"] if note not in notes]
         found.append(values)
+    assert [note.partition(": ")[2] for note in report["notes"]] == notes != []
     assert sorted(found) == [(n, a, s) for n, a in ((1, 0.1), (3, 0.6)) for s in (3, 4)]
 
 
