@@ -64,14 +64,22 @@ Listener = Callable[[SweepProgress], None]
 
 
 def forecast_of(data: JsonObject, folder: Path) -> JsonObject:
-    """What a study takes (`StudyCourse.forecast`), of all its points together, and `remarks`."""
+    """What a study takes (`StudyCourse.forecast`), of all its points together, and `remarks`.
+
+    Every point is read, and the first, middle and last are looked at: BadInput for one that cannot
+    be, before any is begun.
+    """
     study = parse_study(data)
-    course = make_course(_placed(_at_point(data, study, 0)[0], folder), Path())
-    told, remarks = course.forecast, list(course.remarks)
-    return told | {
+    points = [_at_point(data, study, point)[0] for point in range(study.points)]
+    for own in points:
+        parse_study(own)
+    some = dict.fromkeys((0, len(points) // 2, len(points) - 1))
+    courses = [make_course(_placed(points[point], folder), Path()) for point in some]
+    told = [course.forecast for course in courses]
+    return told[0] | {
         "points": study.points,
-        "cpu_s": told["cpu_s"] * study.points,
-        "remarks": remarks,
+        "cpu_s": float(np.mean([one["cpu_s"] for one in told])) * study.points,
+        "remarks": list(dict.fromkeys(r for course in courses for r in course.remarks)),
     }
 
 
@@ -101,7 +109,10 @@ def run_study(
         place = out / "points" / f"{point:04d}"
         place.parent.mkdir(exist_ok=True)
         again = replace(options, resume=place.exists())
-        report = _run_point(own, folder, place, again, listen)
+        try:
+            report = _run_point(own, folder, place, again, listen)
+        except BadInput as error:
+            raise BadInput(f"point {point}: {error.field}", error.value, error.allowed) from None
         rows.append({"point": point, **values, **report["figures"]})
         notes |= {note: point for note in report["notes"] if note not in notes}
     with whole_file(out / POINTS) as table:

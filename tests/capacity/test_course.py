@@ -120,6 +120,10 @@ def test_a_forecast_is_of_all_points(data: Data, tmp_path: Path) -> None:
     three = forecast_of(data | {"axes": [axis], "seeds": 2}, tmp_path)
     assert (one["points"], three["points"]) == (1, 6)
     assert three["cpu_s"] == pytest.approx(6 * one["cpu_s"])
+    hours = [6.0, 30.0, 12.0]
+    alone = [forecast_of(data | {"duration_h": h}, tmp_path)["cpu_s"] for h in hours]
+    together = data | {"axes": [{"field": "duration_h", "values": hours}]}
+    assert forecast_of(together, tmp_path)["cpu_s"] == pytest.approx(sum(alone))
 
 
 def test_an_orbit_of_a_sensor_is_doubted(data: Data, tmp_path: Path) -> None:

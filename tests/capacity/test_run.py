@@ -18,7 +18,7 @@ import pytest
 
 from pipeline.capacity.course import make_course
 from pipeline.capacity.run import StudyOptions, _is_whole, _searched, forecast_of, run_study
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, NightglassError
 from pipeline.sweep.ledger import PointLedger
 from tests.command import nightglass
 
@@ -111,6 +111,28 @@ def test_points_are_forecast_together(
         assert not (tmp_path / "out").exists()
     report = run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous", yes=True))
     assert len(report["points"]) == 4
+
+
+@pytest.mark.parametrize(
+    ("field", "values", "told"),
+    [
+        ("cameras.0.sensor.aperture_m", [0.1, 0.2, -5.0, 0.3, 0.4], "aperture_m: -5"),
+        ("sensors.0.observer.latitude_deg", [10.0, 20.0, 30.0, 40.0, 85.0], "never dark enough"),
+    ],
+)
+def test_a_point_that_cannot_be_is_refused_before_any_is_begun(
+    data: Data, tmp_path: Path, field: str, values: list[float], told: str
+) -> None:
+    """Every point is read; of the last it is seen that its site has no night."""
+    data |= {"start": "2019-06-21T00:00:00Z", "axes": [{"field": field, "values": values}]}
+    data["sensors"] = data["sensors"][:1]
+    with pytest.raises(NightglassError, match=told):
+        run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous"))
+    assert not (tmp_path / "out").exists()
+    if told == "never dark enough":  # what is not looked at before is told with its number
+        data["axes"][0]["values"] = [10.0, 85.0, 20.0, 30.0]
+        with pytest.raises(BadInput, match=r"point 1: sensors.0.*never dark enough"):
+            run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous"))
 
 
 DIES = """
