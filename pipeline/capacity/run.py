@@ -8,6 +8,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +111,8 @@ def run_study(
         place.parent.mkdir(exist_ok=True)
         again = replace(options, resume=place.exists())
         try:
-            report = _run_point(own, folder, place, again, listen)
+            heard = listen and partial(_hear_point, listen, point, study.points)
+            report = _run_point(own, folder, place, again, heard)
         except BadInput as error:
             raise BadInput(f"point {point}: {error.field}", error.value, error.allowed) from None
         rows.append({"point": point, **values, **report["figures"]})
@@ -122,6 +124,12 @@ def run_study(
     write_atomically(out / REPORT, json.dumps(whole, indent=2) + "\n")
     ledger.seal(out, (POINTS, REPORT))
     return whole
+
+
+def _hear_point(listen: Listener, point: int, points: int, progress: SweepProgress) -> None:
+    """Tell how far a whole study is by one of its points, as if all had so many tasks."""
+    done = point * progress.total + progress.done
+    listen(replace(progress, done=done, total=points * progress.total))
 
 
 def _check_cost(cpu_s: float, options: StudyOptions) -> None:

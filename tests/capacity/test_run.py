@@ -20,6 +20,7 @@ from pipeline.capacity.course import make_course
 from pipeline.capacity.run import StudyOptions, _is_whole, _searched, forecast_of, run_study
 from pipeline.errors import BadInput, NightglassError
 from pipeline.sweep.ledger import PointLedger
+from pipeline.sweep.run import SweepProgress
 from tests.command import nightglass
 
 Data = dict[str, Any]
@@ -34,7 +35,9 @@ def test_points_have_their_values_of_all_axes_and_their_seeds(
     data["axes"] = [{"field": "sensors.0.count", "values": [1, 3]},
                     {"field": "cameras.0.sensor.aperture_m", "values": [0.1, 0.6]}]  # fmt: skip
     out = tmp_path / "out"
-    report = run_study(data, tmp_path, out, StudyOptions("synchronous"))
+    heard: list[SweepProgress] = []
+    report = run_study(data, tmp_path, out, StudyOptions("synchronous"), heard.append)
+    assert [(p.done, p.total) for p in heard] == [(n, 4) for n in (1, 2, 3, 4)]  # a task a point
     told = pq.read_table(out / "points.parquet").to_pylist()
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
     assert json.loads((out / "report.json").read_text()) == report
