@@ -7,8 +7,9 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,7 @@ class StudyOptions:
 
 
 Listener = Callable[[SweepProgress], None]
+Opened = Callable[[], Scheduler]
 
 
 def forecast_of(data: JsonObject, folder: Path) -> JsonObject:
@@ -99,8 +101,25 @@ def run_study(
     """
     study, options = parse_study(data), options or StudyOptions()
     out = out.absolute()  # Arrow takes the `a:b` of a relative `a:b/c.parquet` for a kind of URL
-    if study.points == 1:
-        return _run_point(data, folder, out, options, listen)
+    with ExitStack() as stack:
+        opened = cache(  # by the first task that is not done yet
+            lambda: stack.enter_context(open_scheduler(options.scheduler, options.workers))
+        )
+        if study.points == 1:
+            course = make_course(_placed(data, folder), out)
+            return _run_point(study, course, options, opened, listen)
+        return _run_points(data, study, folder, out, options, opened, listen)
+
+
+def _run_points(
+    data: JsonObject,
+    study: Study,
+    folder: Path,
+    out: Path,
+    options: StudyOptions,
+    opened: Opened,
+    listen: Listener | None,
+) -> JsonObject:
     _check_cost(forecast_of(data, folder)["cpu_s"], options)
     ledger.begin(out, {"study": data}, options.resume, "study")
     rows: list[JsonObject] = []
@@ -110,11 +129,12 @@ def run_study(
         place = out / "points" / f"{point:04d}"
         place.parent.mkdir(exist_ok=True)
         again = replace(options, resume=place.exists())
+        heard = listen and partial(_hear_point, listen, point, study.points)
         try:
-            heard = listen and partial(_hear_point, listen, point, study.points)
-            report = _run_point(own, folder, place, again, heard)
+            course = make_course(_placed(own, folder), place)
         except BadInput as error:
             raise BadInput(f"point {point}: {error.field}", error.value, error.allowed) from None
+        report = _run_point(parse_study(own), course, again, opened, heard)
         rows.append({"point": point, **values, **report["figures"]})
         notes |= {note: point for note in report["notes"] if note not in notes}
     with whole_file(out / POINTS) as table:
@@ -166,11 +186,14 @@ def _placed(data: JsonObject, folder: Path) -> JsonObject:
 
 
 def _run_point(
-    data: JsonObject, folder: Path, out: Path, options: StudyOptions, listen: Listener | None
+    study: Study,
+    course: StudyCourse,
+    options: StudyOptions,
+    opened: Opened,
+    listen: Listener | None,
 ) -> JsonObject:
-    started = time.perf_counter()
-    study = parse_study(data)
-    course = make_course(_placed(data, folder), out)
+    """Run a study without axes into its course's folder."""
+    started, out = time.perf_counter(), Path(course.out)
     _check_cost(course.forecast["cpu_s"], options)
     ledger.begin(out, {"format": study.schema_, "study": course.key}, options.resume, "study")
     with full_disk(out), only_writer(out):
@@ -179,7 +202,7 @@ def _run_point(
             return report
         write_atomically(out / STUDY, json.dumps(study.as_dict(), indent=2))
         (out / SEEN).mkdir(exist_ok=True)
-        failed = _stream(course, out, options, listen)
+        failed = _stream(course, out, opened, listen)
         report, tables, gaps = summarise(course, out, failed, time.perf_counter() - started)
         write_atomically(out / PAGE, page(course, report, tables, gaps))
         write_atomically(out / REPORT, json.dumps(report, indent=2, allow_nan=False) + "\n")
@@ -189,7 +212,7 @@ def _run_point(
 
 
 def _stream(
-    course: StudyCourse, out: Path, options: StudyOptions, listen: Listener | None
+    course: StudyCourse, out: Path, opened: Opened, listen: Listener | None
 ) -> NDArray[np.int64]:
     """Find candidates and task windows as they are whole; objects that SGP4 ended."""
     state, first, failed = _taken_up(course, out)
@@ -208,13 +231,11 @@ def _stream(
             window += 1
 
     finish_windows()
-    if left:
-        with open_scheduler(options.scheduler, options.workers) as scheduler:
-            for item in _run(scheduler, course, left):
-                done.add(item)
-                if listen is not None:
-                    listen(SweepProgress(total - len(items) + len(done), total, 0))
-                finish_windows()
+    for item in _run(opened(), course, left) if left else ():
+        done.add(item)
+        if listen is not None:
+            listen(SweepProgress(total - len(items) + len(done), total, 0))
+        finish_windows()
     return np.array(sorted(failed), np.int64)
 
 
