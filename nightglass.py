@@ -17,6 +17,7 @@ if TYPE_CHECKING:  # each function imports what it needs: `import nightglass` ta
     from pipeline.spec.scene import Scene
     from pipeline.spec.study import FieldOfRegard
     from pipeline.survey.find import FoundObjects
+    from pipeline.sweep.run import SweepProgress
 
     AnyPath = str | os.PathLike[str]
     AnyScene = Scene | Mapping[str, Any] | AnyPath
@@ -35,6 +36,7 @@ __all__ = [
     "plan",
     "render",
     "study",
+    "sweep",
 ]
 
 
@@ -180,13 +182,12 @@ def render(
     TryLater
         Where the scheduler cannot be reached, or another render is writing this product.
     """
-    if not isinstance(product, str | os.PathLike) or "://" in str(product):
-        raise BadInput("product", product, "the path of a folder")
+    folder = _folder("product", product)
     from pipeline.opened_product import open_product
     from pipeline.route.run import Options
     from pipeline.route.run import render as run
 
-    run(load_scene(scene), Path(product), Options(scheduler, workers, resume, replace), listen)
+    run(load_scene(scene), folder, Options(scheduler, workers, resume, replace), listen)
     return open_product(product)
 
 
@@ -237,31 +238,91 @@ def find(
     return look(load_scene(scene), request)
 
 
+def sweep(
+    sweep: Mapping[str, Any] | AnyPath,
+    out: AnyPath,
+    *,
+    scheduler: str = "threads",
+    workers: int | None = None,
+    resume: bool = False,
+    retry_failed: bool = False,
+    listen: Callable[[SweepProgress], None] | None = None,
+) -> dict[str, Any]:
+    """Render every point of a sweep into a folder and return its report.
+
+    Its table is `points.parquet` in the folder: a row for each point.
+
+    Parameters
+    ----------
+    sweep : path or mapping
+        A sweep file (YAML or JSON), from whose folder relative paths are taken, or its data.
+    out : path
+        Folder to make.
+    scheduler : str, optional
+        As in `render`; the address of a Dask cluster's scheduler too.
+    workers : int, optional
+        Number of threads or processes; by default one for each core.
+    resume : bool, optional
+        Continue an unfinished sweep.
+    retry_failed : bool, optional
+        Continue a sweep, and try the points that failed once more.
+    listen : callable, optional
+        Called with a SweepProgress as points are finished.
+
+    Returns
+    -------
+    dict
+        As `nightglass sweep --json` prints it; units stand in the keys.
+
+    Raises
+    ------
+    BadInput
+        For what cannot be run; a point that fails is a row of the table with its message.
+    Incomplete
+        Where work ended early; what is finished is kept, and `resume=True` goes on.
+    TryLater
+        As `render` does.
+    """
+    from pipeline.route.run import Options
+    from pipeline.spec.sweep_load import parse_sweep
+    from pipeline.sweep.run import course_of, gather_course, run_course
+
+    folder, options = _folder("out", out), Options(scheduler, workers, resume or retry_failed)
+    if isinstance(sweep, Mapping):
+        course = course_of(parse_sweep(dict(sweep)), Path.cwd(), folder)
+    else:
+        course = gather_course(Path(sweep), folder)
+    return run_course(course, folder, options, retry_failed, listen)
+
+
 def study(
-    file: AnyPath,
+    study: Mapping[str, Any] | AnyPath,
     out: AnyPath,
     *,
     scheduler: str = "processes",
     workers: int | None = None,
     resume: bool = False,
     yes: bool = False,
+    listen: Callable[[SweepProgress], None] | None = None,
 ) -> dict[str, Any]:
-    """Run a study file into a folder and return its report, as `nightglass study --json` prints it.
+    """Run a study into a folder and return its report, as `nightglass study --json` prints it.
 
     Parameters
     ----------
-    file : path
-        A study file (YAML or JSON); relative paths in it are taken from its folder.
+    study : path or mapping
+        A study file (YAML or JSON), from whose folder relative paths are taken, or its data.
     out : path
         Folder to make.
     scheduler : str, optional
-        As in `render`.
+        As in `sweep`.
     workers : int, optional
         Number of threads or processes; by default one for each core.
     resume : bool, optional
         Continue an unfinished study.
     yes : bool, optional
         Run it although its forecast is long.
+    listen : callable, optional
+        Called with a SweepProgress as tasks are finished.
 
     Returns
     -------
@@ -280,9 +341,17 @@ def study(
     from pipeline.capacity.run import StudyOptions, run_study
     from pipeline.spec.study_load import read_study
 
-    path = Path(file)
-    options = StudyOptions(scheduler, workers, resume, yes)
-    return run_study(read_study(path), path.parent, Path(out), options)
+    folder, options = _folder("out", out), StudyOptions(scheduler, workers, resume, yes)
+    if isinstance(study, Mapping):
+        return run_study(dict(study), Path(), folder, options, listen)
+    return run_study(read_study(Path(study)), Path(study).parent, folder, options, listen)
+
+
+def _folder(name: str, given: object) -> Path:
+    """The path of a folder of this machine."""
+    if not isinstance(given, str | os.PathLike) or "://" in str(given):
+        raise BadInput(name, given, "the path of a folder")
+    return Path(given)
 
 
 def open_product(path: AnyPath) -> Product:

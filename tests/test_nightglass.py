@@ -15,6 +15,7 @@ import pytest
 
 import nightglass
 from catalog_tools.ingest.ingest import ingest
+from tests.capacity.conftest import SMALL
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = {
@@ -247,6 +248,40 @@ def test_each_wish_of_a_search_is_passed_on():
     refused(nightglass.BadInput, "--step: 1.0 ", nightglass.find, scene, **many)
     found = nightglass.find(scene, **wish, hours=0.1, step_s=60.0, least_snr=1e12)
     assert (found.objects, found.end) == ([], "2019-04-20T09:06:00Z")
+
+
+def test_a_sweep_from_a_mapping_or_a_file(tmp_path, monkeypatch):
+    """The same table; what its points need is found from where each is, and progress is heard."""
+    sweep = {"schema": "nightglass/sweep/1", "name": "two", "scene": "base.json",
+             "axes": [{"field": "sensor.read_noise_e", "values": [2.0, 8.0]}]}  # fmt: skip
+    (tmp_path / "base.json").write_text(json.dumps(SCENE))
+    (tmp_path / "sweep.json").write_text(json.dumps(sweep))
+    heard = []
+    report = nightglass.sweep(tmp_path / "sweep.json", tmp_path / "file", listen=heard.append)
+    assert (report["points"], report["failed"], heard[-1].done) == (2, 0, 2)
+    monkeypatch.chdir(tmp_path)
+    nightglass.sweep(sweep, "mapping", scheduler="synchronous")
+    tables = [pq.read_table(tmp_path / n / "points.parquet") for n in ("file", "mapping")]
+    digests = [t["content_digest"].to_pylist() for t in tables]
+    assert digests[0] == digests[1]
+    assert len({*digests[0]}) == 2
+    refused(nightglass.BadInput, "does not exist yet", nightglass.sweep, sweep, "mapping")
+    assert nightglass.sweep(sweep, "mapping", resume=True)["points"] == 2
+    refused(nightglass.BadInput, "the path of a folder", nightglass.sweep, sweep, None)
+    refused(nightglass.NightglassError, "axes", nightglass.sweep, sweep | {"axes": 1}, "other")
+
+
+def test_a_study_from_a_mapping_or_a_file(tmp_path):
+    short = SMALL | {"duration_h": 0.5}
+    (tmp_path / "study.json").write_text(json.dumps(short))
+    heard, options = [], {"scheduler": "synchronous"}
+    found = [
+        nightglass.study(given, tmp_path / name, **options, listen=heard.append)["figures"]
+        for given, name in ((short, "mapping"), (tmp_path / "study.json", "file"))
+    ]
+    assert found[0] == found[1]
+    assert heard[-1].done == heard[-1].total >= 1
+    refused(nightglass.BadInput, "the path of a folder", nightglass.study, SMALL, "s3://a/b")
 
 
 def test_a_cone_of_stars(stars):
