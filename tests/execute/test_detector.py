@@ -106,6 +106,7 @@ EXTRAS = {
     "lag": {"lag": {"fraction": 0.05}},
     "smear": {"readout": {"kind": "frame_transfer", "transfer_s": 0.05}},
     "tdi": {"readout": {"kind": "tdi", "rows_per_s": 3.0}},
+    "hot, none by chance": {"hot": {"pixels": [[300, 2, 5e3]]}},
 }  # fmt: skip
 
 
