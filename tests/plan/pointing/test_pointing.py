@@ -283,6 +283,17 @@ def test_between_its_nodes_random_motion_is_straight(scene: Make) -> None:
         np.testing.assert_allclose(fine[k[0], :, k[1]], straight, rtol=0.0, atol=1e-18)
 
 
+def test_random_motion_goes_on_from_one_exposure_to_the_next(scene: Make) -> None:
+    """Where each begins as the one before it ends, 0.5 s and 2 s long in turn."""
+    s = scene({"pointing": SIDEREAL | {"attitude": RANDOM}, "exposure.cadence_s": None,
+               "dwells": [{"frames": 4, "integration_s": [2.0, 0.5]}]})  # fmt: skip
+    plan = motion_plan(s)
+    assert plan is not None
+    moved = random_motion_rad(s, np.arange(4), plan.nodes)
+    assert np.abs(np.ptp(moved, axis=1)).min() > 0.01 * ARCSEC
+    np.testing.assert_allclose(moved[1:, 0], moved[:-1, -1], rtol=0.0, atol=1e-6 * ARCSEC)
+
+
 @pytest.mark.parametrize("noise_fraction", [0.5, 0.05])
 def test_blur_leaves_out_no_more_than_is_asked(scene: Make, noise_fraction: float) -> None:
     """Both of what it leaves out of an exposure's mean, and of the error that comes of it."""
