@@ -133,6 +133,21 @@ def test_an_eclipse_off_by_more_than_is_allowed_fails_the_case_of_all(tmp_path, 
     assert not run_case(case, tmp_path).passed
 
 
+@pytest.mark.parametrize("part", [0.9, 1.1])
+@pytest.mark.parametrize("length_m", [1.0, 1e-6])
+def test_too_little_light_of_a_cylinder_fails_as_too_much_does(
+    length_m, part, tmp_path, monkeypatch
+):
+    """Of the needle or of the disc alone, by a tenth."""
+    right = light.frustum_area_function
+
+    def wrong(*given):
+        return right(*given) * (part if given[-1] == length_m else 1.0)
+
+    monkeypatch.setattr(light, "frustum_area_function", wrong)
+    assert light.needle_and_disc.run(tmp_path).error == pytest.approx(0.1, rel=1e-3)
+
+
 def test_command(tmp_path):
     page = tmp_path / "page.md"
     done = CliRunner().invoke(
