@@ -502,6 +502,31 @@ def test_a_job_without_a_worker_is_told(with_slurm, monkeypatch, squeue, told):
         pass
 
 
+@pytest.mark.parametrize("processes", [1, 2])
+def test_for_much_work_as_many_jobs_are_asked_for_as_are_allowed(
+    with_slurm, monkeypatch, processes
+):
+    """Jobs, not workers: each may be several processes."""
+    folder = with_slurm(sbatch=SUBMITS, squeue=PENDING)
+    from catalog_tools.engine import slurm_jobs
+
+    async def much(_):
+        return 100
+
+    monkeypatch.setattr(slurm_jobs.FollowsJobs, "target", much)
+    settings = slurm_settings(cores=2, processes=processes)
+    most, until = 0, time.monotonic() + 20
+    with (
+        dask.config.set({"jobqueue.slurm": settings}),
+        slurm_jobs.cluster_of_jobs(folder, 3) as cluster,
+    ):
+        while most < 3 and time.monotonic() < until:
+            most = max(most, len(cluster.worker_spec))
+            time.sleep(0.1)
+        time.sleep(2)  # in which a fourth would be asked for
+        assert (most, len(cluster.worker_spec)) == (3, 3)
+
+
 @pytest.mark.parametrize(
     ("number", "code"),
     [
