@@ -232,6 +232,18 @@ def test_a_resting_star_errs_by_no_more_than_told(share: tuple[float, ...]) -> N
     assert worst >= told * (0.1 if share[1] == 0.0 else 0.3)
 
 
+def test_a_turning_fields_streaks_are_as_long_as_their_arcs(scene: Make) -> None:
+    """A turn of 80 degrees about the frame's middle: longest in the corners, of no length in it."""
+    pointing = {"mode": "rate", "boresight_ra_deg": 1.0, "boresight_dec_deg": 50.0,
+                "rate_ra_arcsec_s": 0.0, "rate_dec_arcsec_s": 0.0,
+                "roll_rate_deg_s": 40.0}  # fmt: skip
+    s = scene({"pointing": pointing})
+    plan = plan_streaks(camera_of(s), plan_geometry(s, np.array([0]), 0.0), True)
+    arc_px = math.radians(80.0) * math.hypot(0.5 * 768, 0.5 * 512)
+    assert plan.longest_px == pytest.approx(arc_px, rel=1e-4)
+    assert plan.shortest_px == pytest.approx(0.0, abs=1e-6)
+
+
 def test_still_stars_are_one_point(scene: Make) -> None:
     s = scene()
     camera, g = camera_of(s), plan_geometry(s, np.array([0, 4]), 0.0)
