@@ -79,6 +79,17 @@ def test_a_star_at_the_boresight_stays_at_the_centre(scene: Make, observer: dict
 
 
 @pytest.mark.parametrize("observer", [LEO, GROUND])
+def test_the_sun_stands_where_it_does_whoever_looks(scene: Make, observer: dict) -> None:
+    """Against ERFA's Earth, seen from the Sun and from the barycentre."""
+    ra, dec = up(observer)
+    g = every(scene({"observer": observer, "pointing.boresight_ra_deg": ra,
+                     "pointing.boresight_dec_deg": dec}))  # fmt: skip
+    of_sun, of_all = erfa.epv00(g.tt1, g.tt2)
+    sun_m = (of_all["p"] - of_sun["p"]) * 149_597_870_700.0
+    assert np.abs(g.sun_m - sun_m).max() < 1.0
+
+
+@pytest.mark.parametrize("observer", [LEO, GROUND])
 def test_target_tracking_keeps_the_target_at_the_centre(scene: Make, observer: dict) -> None:
     target = {**GEO_TARGET, "orbit": {**GEO_TARGET["orbit"]}}
     if observer is GROUND:
