@@ -22,7 +22,7 @@ from tests.slow import slow
 SIDE = 400
 
 
-def scene(diameter_m, psf, sun_side=1.0):
+def scene(diameter_m, psf, sun_side=1.0, roll_deg=0.0):
     """A sphere 1,000 km off, 10 m a pixel, beside an observer in high orbit; the Sun across."""
     observer = [42_164e3, 0.0, 0.0]
     return parse_scene({
@@ -34,7 +34,7 @@ def scene(diameter_m, psf, sun_side=1.0):
             "aperture_m": 0.065, "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
             "psf": psf, "adc_bits": 30, "read_noise_e": 5.0,
         },
-        "pointing": {"mode": "target", "target": "ball"},
+        "pointing": {"mode": "target", "target": "ball", "roll_deg": roll_deg},
         "exposure": {"integration_s": 0.01},
         "targets": [{
             "name": "ball", "body": {"kind": "sphere", "diameter_m": diameter_m, "albedo": 0.2},
@@ -87,6 +87,18 @@ def test_small_and_faint_bodies_are_points(tmp_path):
     image, truth, _ = drawn(tmp_path, 0.02, PSFS[0])
     assert not truth["extended"]
     assert image.sum() == pytest.approx(truth["electrons"], rel=1e-5)
+
+
+def test_light_of_a_small_body_is_on_the_side_of_a_large_ones(tmp_path):
+    """A point, as far from its middle in its radii as the light of a disc in its image; askew."""
+    image, large, _ = drawn(tmp_path / "large", 400.0, PSFS[0], 1.0, 40.0)
+    _, small, _ = drawn(tmp_path / "small", 0.6, PSFS[0], 1.0, 40.0)
+    assert (large["extended"], small["extended"]) == (True, False)
+    light = np.array([image.sum(0), image.sum(1)]) @ np.arange(SIDE) / image.sum()
+    off = (light - [large["x_px"], large["y_px"]]) * 0.6 / 400.0
+    assert np.abs(off).min() > 5e-3
+    assert small["x_light_px"] - small["x_px"] == pytest.approx(off[0], abs=2e-4)
+    assert small["y_light_px"] - small["y_px"] == pytest.approx(off[1], abs=2e-4)
 
 
 @pytest.mark.slow
