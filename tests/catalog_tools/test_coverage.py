@@ -120,6 +120,13 @@ def test_a_sparse_sky_around_a_deep_field_stays_covered():
     assert coverage.sky_fraction > 0.999
 
 
+def test_each_sparse_pixel_covers_all_eight_around_it():
+    """4 rows in each of 8 by 8 pixels: these and one more on every side, corners too."""
+    counts = np.zeros(12 * 4**COUNT_ORDER, np.int64)
+    counts[64 * 40_001 : 64 * 40_002] = 4
+    assert of_rows(counts).sky_fraction == pytest.approx(100 / counts.size, rel=1e-12)
+
+
 def test_few_rows_tell_nothing():
     coverage = of_rows(counts_of(*in_cone(99, 10.0, 0.0, 1.0)))
     assert not coverage.known
