@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -147,6 +148,21 @@ def test_the_faintest_star_told_is_fainter_above_the_air(catalogue):
     up = float(altaz(300.0, 5.0, "2019-04-20T11:00:05", 0.0).alt.deg)
     mass = 1.0 / (np.sin(np.radians(up)) + 0.50572 * (up + 6.07995) ** -1.6364)
     assert limits[0] - limits[1] == pytest.approx(0.3 * mass, abs=0.01)
+
+
+def test_colours_are_told_apart_by_the_air_they_are_seen_through():
+    """As the extinction itself, to a tenth: both of the frame's lowest place."""
+    found = []
+    site = SITE | {"atmosphere": {"extinction": True}}
+    for ra_deg in (250.0, 300.0):
+        pointing = SCENE["pointing"] | {"boresight_ra_deg": ra_deg}
+        plan = prepare(scene_of(None, observer=site, pointing=pointing)).plan
+        (told,) = [d.reason for d in plan.decisions if d.component == "atmosphere.extinction"]
+        lost, apart = re.search(r", (\S+) mag at the frame's .* by up to (\S+) mag;", told).groups()
+        found.append((float(lost), float(apart)))
+    (lost, apart), (lost_low, apart_low) = found
+    assert lost_low > 1.5 * lost
+    assert apart_low / apart == pytest.approx(lost_low / lost, rel=0.1)
 
 
 def test_a_tracked_target_stays_in_the_centre_and_fades(tmp_path):
