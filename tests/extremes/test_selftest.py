@@ -85,6 +85,7 @@ def test_a_wrong_answer_and_a_fault_are_failures(tmp_path):
         outcome = run_case(LimitingCase("x", "x", "x", "1", 1.0, run), tmp_path)
         assert not outcome.passed
         assert outcome.fault == fault
+        assert json.loads(json.dumps(outcome.as_dict(), allow_nan=False))["error"] is None
         assert "x" in markdown([outcome])
 
 
