@@ -307,6 +307,14 @@ def test_two_ingests_into_one_place_refuse_each_other(tmp_path, parts):
     assert open_catalogue(tmp_path / "c").rows == 6000
 
 
+def test_reading_and_writing_tell_how_far_they_are(tmp_path, parts):
+    told = []
+    ingest(parts[1], tmp_path / "c", progress=lambda *one: told.append(one), workers=1)
+    for stage in ("read", "write"):
+        done = [one[1:] for one in told if one[0] == stage]
+        assert done == [(k, done[-1][1]) for k in range(done[-1][1] + 1)]
+
+
 def test_a_lock_that_another_has_removed_is_not_held(tmp_path):
     """Between opening the lock's file and taking it the other writer ended and removed it."""
     path = tmp_path / ".c.lock"
