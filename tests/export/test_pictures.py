@@ -89,6 +89,14 @@ def test_pictures_have_their_first_row_at_the_bottom(slope):
     assert first.mean() < second.mean() - 20
 
 
+def test_a_picture_is_of_the_layer_that_is_asked_for(slope):
+    """One that grows darker by column, beside `dn`, which grows brighter."""
+    layer = np.linspace(9.0, 0.0, 96) + np.zeros((2, 64, 1))
+    zarr.create_array(store=slope / "cube.zarr" / "calibrated_e", data=layer)
+    bare = np.asarray(frame_picture(slope, mark=False, layer="calibrated_e"))[..., 0]
+    assert bare[:, 0].mean() > bare[:, -1].mean()
+
+
 def test_marks_lie_about_what_they_mark(slope):
     """A circle of 12 px about the target; an ellipse as long as the track and 8 px more on each
     side about the rays, of the sixty with the most charge."""
