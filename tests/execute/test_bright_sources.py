@@ -13,6 +13,7 @@ import pytest
 from scipy.special import erfc
 
 from pipeline.errors import BadInput
+from pipeline.execute import check
 from pipeline.execute.blocks import render_block, target_class
 from pipeline.execute.check import reference
 from pipeline.execute.light import draw_stars
@@ -27,9 +28,11 @@ from pipeline.plan.response.streaks import SHOWN, centroid
 from pipeline.plan.tiles import Tile
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
+from pipeline.studies.accuracy.reference import AiryStar, straight
 from tests.execute.test_behind import SCENE as SLIPPING
 from tests.execute.test_engines import field, geometry_of, plan_of
 from tests.plans import plan_from
+from tests.studies.accuracy.test_reference import by_intensity
 
 SIDE, SIGMA, READ_E = 64, 1.1, 5.0
 X, Y = np.array([30.3]), np.array([33.8])
@@ -114,6 +117,22 @@ def test_the_check_agrees(name: str) -> None:
         assert count == 1
         expected = light_e * exact[24:40, 40:56]
         assert np.abs(found - expected).max() <= 1e-11 * expected.max() + 1e-9
+
+
+def test_the_check_follows_a_bright_target_past_where_wings_fade_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Pixels just within and far past it hold an Airy pattern's light by its closed form."""
+    plan, _ = case("airy")
+    target = FrameTarget(0, X[0], Y[0], POINT, 1e13)
+    monkeypatch.setattr(check, "place_targets", lambda *_: [target])
+    for at in (0.98, 1.5):
+        x0, nobody = int(X[0] + at * plan.responses.fades_px), field(*np.zeros((3, 0)))
+        found, _ = reference(plan, geometry_of(plan), Tile(0, 0, 26, x0, 4, 4), nobody)
+        for row, column in ((0, 0), (2, 3)):
+            place = float(x0 + column), float(26 + row)
+            closed = by_intensity(AiryStar(1.0, 0.3), straight(0.0, 0.0), X[0], Y[0], *place)
+            assert found[row, column] == pytest.approx(1e13 * closed, rel=1e-7)
 
 
 def test_the_check_sees_cores_that_end_too_early() -> None:
