@@ -96,6 +96,9 @@ def test_sources_just_below_a_limit_are_looked_at():
     ]  # fmt: skip
     assert _below([(math.inf, 0.0)], x, y, light_e, tiles)[0] == (120.0, 25.0)
     assert _below([(1.0, 0.0)], x, y, light_e, tiles) == []
+    assert _below([(1.0, 0.0), (5.0, 2.0), (6.5, 4.0)], x, y, light_e, tiles) == [
+        (10.0, 25.0), (12.0, 25.0), (10.0, 25.0), (14.0, 25.0)
+    ]  # fmt: skip
 
 
 def test_the_end_of_the_brightest_streak_is_looked_at():
