@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +17,7 @@ from typer.testing import CliRunner
 from pipeline.cli import app
 from pipeline.errors import BadInput
 from pipeline.studies.accuracy import figure, report, study
-from pipeline.studies.accuracy.engines import EngineCase
+from pipeline.studies.accuracy.engines import EngineCase, our_settings
 from pipeline.studies.accuracy.probes import make_probes, probe_count
 from pipeline.studies.accuracy.reference import (
     AiryStar,
@@ -109,6 +110,19 @@ def test_same_error_whatever_the_tiles(
 
 def record(cpu_s: float, error: float) -> Record:
     return Record("e", "s", True, "p", 0.0, False, 1, 1, cpu_s, cpu_s, 0.0, None, error, error, 0.0)
+
+
+@pytest.mark.parametrize("q_px", [0.5, 1.0, 4.0])
+def test_cores_of_airy_stars_are_as_wide_as_their_rings(q_px: float) -> None:
+    """In units of Q: of any star, a core of either ladder holds as much of the light."""
+    case = EngineCase(AiryStar(q_px, 0.3), straight(0.0, 0.0), 0.0, (256, 256))
+    found: dict[str, list[tuple[float, int]]] = {"core radius": [], "wing grid": []}
+    for level in our_settings(case, False):
+        if level.engine in found:
+            radius, spacing = re.findall(r"[\d.]+", level.setting)
+            found[level.engine].append((float(radius) / q_px, int(spacing)))
+    assert found["core radius"] == [(6.0, 2), (12.0, 2), (24.0, 2), (48.0, 2)]
+    assert found["wing grid"] == [(24.0, 16), (24.0, 8), (24.0, 4), (24.0, 2)]
 
 
 def test_pareto_front() -> None:
