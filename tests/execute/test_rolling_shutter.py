@@ -32,6 +32,7 @@ TARGET = {
     "orbit": {"kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3070, 0]},
     "body": {"kind": "sphere", "diameter_m": 0.3, "albedo": 0.5},
 }
+AT_TARGET = {"mode": "target", "target": "t"}
 
 
 @pytest.fixture(scope="module")
@@ -191,6 +192,31 @@ def test_stars_come_from_as_far_whichever_row_is_first(first: str) -> None:
     assert far >= speed_px_s * (0.5 * TIME_S + 0.005 * SIDE)
 
 
+@pytest.mark.parametrize("first", ["low_rows", "high_rows"])
+def test_the_plan_tells_how_far_a_target_is_off_its_parabola(first: str) -> None:
+    """In a field that turns, whichever row is first: the parabola of a frame without a rolling
+    shutter, against another such frame that begins when the last row does."""
+    g = plan_geometry(scene(None, 0.0, targets=[TARGET], pointing=AT_TARGET), np.arange(1), 0.0)
+    x, y, z = g.attitude[0, 0, 2]
+    beside = {
+        "mode": "rate", "rate_ra_arcsec_s": 0.0, "rate_dec_arcsec_s": 0.0, "roll_rate_deg_s": 2.3,
+        "boresight_ra_deg": float(np.degrees(np.arctan2(y, x))) % 360.0 + 0.02,
+        "boresight_dec_deg": float(np.degrees(np.arcsin(z))) - 0.05,
+    }  # fmt: skip
+    late_s = 0.01 * (SIDE - 1)
+    exposure = {"integration_s": 0.5, "frames": 2, "cadence_s": late_s}
+    more: Any = {"targets": [TARGET], "pointing": beside, "exposure": exposure, "accept": ["moon"]}
+    now, late = (plan_geometry(scene(None, 0.0, **more), np.array([k]), 0.0) for k in (0, 1))
+    time_s, some, apart = now.offset_s[0], [0, now.nodes // 2, -1], []
+    for name in ("target_x_px", "target_y_px"):
+        parabola = np.polyfit(time_s[some], getattr(now, name)[0, 0, some], 2)
+        apart.append(np.polyval(parabola, late.offset_s[0]) - getattr(late, name)[0, 0])
+    exposure["frames"] = 1
+    made = scene(None, 0.0, {"line_s": 0.01, "first": first}, **more)
+    told = [d for d in plan_scene(made)["decisions"] if d["component"] == "rolling_shutter"]
+    assert told[0]["bound"] == pytest.approx(np.abs(apart).max(), rel=1e-3)
+
+
 def test_limits_light_and_what_is_not_there() -> None:
     t, zero = np.linspace(0.0, 1.0, 5), np.zeros(5)
     x, y, light, clear = rolled_sources(
@@ -248,12 +274,11 @@ def test_light_after_the_first_rows_exposure_is_that_of_its_own_row(
     """The target's row, in the middle, is exposed after the light has fallen."""
     delay_s = LINE_S * (SIDE - 1) / 2
     short = {"exposure": {"integration_s": 0.1, "frames": 1}}
-    pointing = {"mode": "target", "target": "t"}
     observer = {"kind": "ground", "latitude_deg": 0.0, "longitude_deg": 170.0} | air
 
     def electrons(name: str, readout: Any, **more: Any) -> float:
         made = scene(
-            None, 0.0, readout, targets=[curve(0.0)], pointing=pointing, observer=observer,
+            None, 0.0, readout, targets=[curve(0.0)], pointing=AT_TARGET, observer=observer,
             accept=["daylight", "sun", "moon"], **(short | more),
         )  # fmt: skip
         render(made, tmp_path / name, Options("synchronous"))
