@@ -388,6 +388,17 @@ def test_disk_full_is_one_message(archive, tmp_path, hasty):
     assert visible(tmp_path) == archive.files
 
 
+def test_a_folder_in_a_files_place_is_no_full_disk(archive, tmp_path, hasty):
+    """Told as it is; without it the same command brings all."""
+    taken = tmp_path / min(archive.files)
+    taken.mkdir()
+    with pytest.raises(IsADirectoryError):
+        bring(archive, tmp_path, hasty)
+    taken.rmdir()
+    bring(archive, tmp_path, hasty)
+    assert visible(tmp_path) == archive.files
+
+
 def test_folder_as_mirror(tmp_path, hasty):
     files = small_archive()
     mirror = tmp_path / "a mirror"
