@@ -78,6 +78,18 @@ def test_dwells_of_a_search_draw_each_for_itself(data: Data, tmp_path: Path) -> 
     np.testing.assert_allclose(seen["busy_s"].to_numpy(), 5.0)
 
 
+@pytest.mark.usefixtures("without_pictures")
+def test_a_window_is_finished_as_soon_as_it_is_whole(data: Data, tmp_path: Path) -> None:
+    """Of a day's four: the candidates of one alone are kept, however long a study is."""
+    out, found = tmp_path / "out", []
+
+    def look(_: object) -> None:
+        found.append([len(list((out / name).iterdir())) for name in ("parts", "observations")])
+
+    run_study(data | {"duration_h": 24.0}, tmp_path, out, StudyOptions("synchronous"), look)
+    assert found == [[1, 0], [1, 1], [1, 2], [1, 3]]
+
+
 def test_options_of_the_command(
     data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
