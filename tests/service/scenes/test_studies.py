@@ -17,9 +17,10 @@ from pipeline.cli import app
 from pipeline.errors import BadInput
 from service.client import Client
 from service.problems import NotAllowed
+from service.scenes import studies
 from service.scenes.studies import accept_study
 from service.settings import Settings
-from tests.capacity.conftest import SMALL
+from tests.capacity.conftest import SMALL, without_pictures  # noqa: F401 - a fixture
 
 ELEMENTS = Path(__file__).resolve().parents[3] / "examples" / "population.tle"
 BODY = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2}
@@ -79,6 +80,15 @@ def test_by_the_client_and_the_command(server: Any, tmp_path: Path) -> None:
     with_more = CliRunner().invoke(app, [*words, "--resume"])
     assert "without --resume" in str(with_more.exception)
     assert pq.read_table(tmp_path / "there" / "objects.parquet").num_rows == 60
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_a_study_tells_how_far_it_is(tmp_path: Path) -> None:
+    """By parts of six hours: by that a worker that dies is known to have come on, too."""
+    seen: list[Any] = []
+    order = {"scene": _study(duration_h=24.0), "product": str(tmp_path / "made"), "resume": False}
+    studies.run_study(order | {"scheduler": "synchronous", "workers": 1}, seen.append)
+    assert [(told.done, told.total) for told in seen] == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
 def test_what_a_study_may_not_hold(server: Any) -> None:
