@@ -14,6 +14,7 @@ from pipeline.physics.drawing.along import swept_spectrum
 from pipeline.physics.motion.streak import Path, pieces
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import (
+    TAPER_FROM,
     Core,
     compact_core,
     oversampling_for,
@@ -67,14 +68,21 @@ class SourceLight:
         return _joined(out)
 
     def enclosing_px(self, fraction: float) -> float:
-        """Radius about a point source that holds a fraction of the light of its core."""
-        core = self._core(self.blur, 0)
-        half = core.samples.shape[0] // 2
-        at = np.arange(-half, half + 1) / core.oversampling
-        r = np.hypot(at[:, None], at[None, :]).ravel()
-        order = np.argsort(r, kind="stable")
-        light = np.cumsum(np.maximum(core.samples.ravel()[order], 0.0))
-        return float(r[order][np.searchsorted(light, fraction * light[-1])])
+        """Radius about a point source that holds a fraction of all its light, up to LARGEST_PX."""
+        number = 0
+        while True:
+            core = self._core(self.blur, number)
+            half, per_px = core.samples.shape[0] // 2, core.oversampling
+            at = np.arange(-half, half + 1) / per_px
+            r = np.hypot(at[:, None], at[None, :]).ravel()
+            order = np.argsort(r, kind="stable")
+            light = np.cumsum(np.maximum(core.samples.ravel()[order], 0.0))
+            last = np.searchsorted(light, fraction * per_px**2 * self.blur.fill_factor)
+            radius = float(r[order[min(int(last), len(order) - 1)]])
+            largest = self._radius_px(self.blur, number + 1) <= core.radius_px
+            if largest or not self.blur.has_wings or radius <= TAPER_FROM * core.radius_px:
+                return min(radius, core.radius_px)
+            number += 1
 
     def _blurs(self, x_px: float, y_px: float) -> list[tuple[Blur, float]]:
         if self.psf_field is None:
