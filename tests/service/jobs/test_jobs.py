@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from starlette.requests import Request
 
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, Damaged
 from service.accounts.teams import pixel_frames_of
 from service.engine.attempts import Attempt
 from service.engine.cluster import SchedulerHealth
@@ -149,6 +149,26 @@ def test_a_job_is_tried_again_for_so_long(
     assert (len(tried), ended.attempt) == (attempts, attempts)
     begun = tried[2] if attempts == 6 else tried[0]
     assert clock[0] - begun == pytest.approx(10.0, abs=0.5)
+
+
+@pytest.mark.parametrize("down", [True, False])
+def test_a_scheduler_is_asked_once_in_two_seconds(
+    monkeypatch: pytest.MonkeyPatch, down: bool
+) -> None:
+    """One that is down, too: requests of that time do not wait for it one after the other."""
+    now, asked = [100.0], []
+
+    def ask(address: str, patience_s: float) -> None:
+        asked.append(now[0])
+        if down:
+            raise Damaged(address, "gone")
+
+    monkeypatch.setattr("catalog_tools.engine.clusters.ask", ask)
+    monkeypatch.setattr("service.engine.cluster.time", SimpleNamespace(monotonic=lambda: now[0]))
+    health = SchedulerHealth("tcp://127.0.0.1:1")
+    for now[0] in (100.0, 100.5, 101.9, 102.5, 104.0):
+        assert ("gone" in health.fault()) == down
+    assert asked == [100.0, 102.5]
 
 
 def test_full_queue_refuses(store: Queue) -> None:
