@@ -26,6 +26,7 @@ from pipeline.physics.positions.orbit_table import best_nodes
 from pipeline.physics.positions.orbit_two_body import two_body
 from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.plan.bodies.orbits import orbit_states
+from pipeline.plan.targets.bounds import table_error_m
 from pipeline.spec.load import parse_scene
 from pipeline.spec.targets.orbit import EphemerisOrbit, OmmOrbit, TableOrbit
 
@@ -119,9 +120,13 @@ def test_sp3_between_its_rows(shared_data: Path) -> None:
         assert orbit.error_m < 0.01
         thin, inner = rows[::2], rows[1:-1:2]
         nodes, error = best_nodes(thin[:, 0], thin[:, 1:4], None)
-        update = {"rows": tuple(map(tuple, thin)), "nodes": nodes}
-        place, _ = states(orbit.model_copy(update=update), inner[:, 0])
+        update = {"rows": tuple(map(tuple, thin)), "nodes": nodes, "error_m": None}
+        thinned = orbit.model_copy(update=update)
+        place, _ = states(thinned, inner[:, 0])
         assert np.linalg.norm(place - inner[:, 1:4], axis=1).max() <= error
+        for given in (nodes, None):
+            found = table_error_m(thinned.model_copy(update={"nodes": given}))
+            assert found == (nodes, error, True)
 
 
 def write_csv(path: Path, unit: str = "m", velocities: bool = True, scale: str = "utc") -> Any:
