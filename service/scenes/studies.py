@@ -43,5 +43,12 @@ def run_study(order: JsonObject, listen: Any) -> JsonObject:
     options = run.StudyOptions(
         order["scheduler"], order["workers"], order["resume"], most_cpu_s=order["most_cpu_s"]
     )
-    run.run_study(order["scene"], Path.cwd(), Path(order["product"]), options, listen)
-    return {"tiles": 0, "content_digest": None}
+    tasks = 0
+
+    def hear(progress: Any) -> None:
+        nonlocal tasks
+        tasks = progress.total
+        listen(progress)
+
+    run.run_study(order["scene"], Path.cwd(), Path(order["product"]), options, hear)
+    return {"tiles": tasks, "content_digest": None}

@@ -48,6 +48,7 @@ def test_a_study_is_forecast_run_and_fetched(server: Any) -> None:
     here = made.headers["location"]
     job = server.ended(here)
     assert (job["phase"], job["kind"]) == ("COMPLETED", "study"), job["error"]
+    assert job["tiles_done"] == job["tiles_total"] >= 1
     report = server.client.get(f"{here}/report").json()
     assert report["figures"]["objects"] == 600
     table = pq.read_table(io.BytesIO(server.client.get(f"{here}/results/objects.parquet").content))
@@ -87,7 +88,8 @@ def test_a_study_tells_how_far_it_is(tmp_path: Path) -> None:
     """By parts of six hours: by that a worker that dies is known to have come on, too."""
     seen: list[Any] = []
     order = {"scene": _study(duration_h=24.0), "product": str(tmp_path / "made"), "resume": False}
-    studies.run_study(order | {"scheduler": "synchronous", "workers": 1}, seen.append)
+    order |= {"scheduler": "synchronous", "workers": 1, "most_cpu_s": 1000.0}
+    assert studies.run_study(order, seen.append)["tiles"] == 4
     assert [(told.done, told.total) for told in seen] == [(1, 4), (2, 4), (3, 4), (4, 4)]
 
 
