@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import shutil
 import threading
 from collections import deque
@@ -68,7 +67,7 @@ def download(
         )
     finally:
         remote.close()
-    _raise_faults(faults, ledger)
+    _raise_faults(faults)
     return Tally(len(missing), meter.new_bytes, len(present), sum(present))
 
 
@@ -187,7 +186,7 @@ def _missing(
         threading.Event(),
         lambda: progress("verify", sum(list(hashed.values())), total) if unsure else None,
     )
-    _raise_faults(faults, ledger)
+    _raise_faults(faults)
     return [e for e in entries if e.name in wrong]
 
 
@@ -199,15 +198,13 @@ def _check_space(meter: Meter, ledger: FileLedger) -> None:
         raise BadInput("destination", str(ledger.folder), allowed)
 
 
-def _raise_faults(faults: Sequence[Exception], ledger: FileLedger) -> None:
+def _raise_faults(faults: Sequence[Exception]) -> None:
     """The gravest fault as one message that also counts the others."""
     if not faults:
         return
     ranks = {Damaged: 1, Incomplete: 2, FinalFailure: 3}
     worst = min(faults, key=lambda fault: ranks.get(type(fault), 0))
     others = f" (and {len(faults) - 1} more files failed)" if len(faults) > 1 else ""
-    if isinstance(worst, OSError) and worst.errno in (errno.ENOSPC, errno.EDQUOT):
-        raise Incomplete(f"{ledger.folder}: {worst.strerror}; make room and run the same command")
     if isinstance(worst, Damaged):
         raise Damaged(worst.path, worst.reason + others)
     if isinstance(worst, FinalFailure):
