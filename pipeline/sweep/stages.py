@@ -10,15 +10,16 @@ from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
-import psutil
 from dask.tokenize import tokenize
 
 from catalog_tools.documents import Arguments
+from catalog_tools.engine.ahead import cores
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
 from pipeline.execute.blocks import LightBlock, plan_blocks, render_block
 from pipeline.execute.graph import Inputs, place_task, read_shard, shard_key
 from pipeline.execute.tables import ContentCache
 from pipeline.execute.tile import LIGHTS, tile_light
+from pipeline.inputs.memory import free_mb
 from pipeline.inputs.sensor.sensor import gather_sensor_maps
 from pipeline.plan.facts import noise_floor_e
 from pipeline.plan.plan import Plan
@@ -38,7 +39,8 @@ from pipeline.sweep.dependence import (
     parts_of,
 )
 
-MOST_BYTES, MEMORY_SHARE = 1.5e9, 0.2
+MOST_BYTES = 1.5e9
+MEMORY_SHARE = 0.5  # of what is free, all processes together
 PLANS_BYTES = 200e6
 FRAMES_AHEAD = 16  # frames whose geometry is computed at once
 
@@ -177,9 +179,12 @@ class Stages:
 
 @lru_cache(maxsize=1)
 def stages(run: str) -> Stages:
-    """The stages of this process for a run of a sweep: files are taken not to change during it."""
+    """The stages of this process for a run of a sweep: files are taken not to change during it.
+
+    What a process keeps leaves room for as many as there are cores.
+    """
     assert run
-    return Stages(min(MOST_BYTES, MEMORY_SHARE * psutil.virtual_memory().total))
+    return Stages(min(MOST_BYTES, MEMORY_SHARE * free_mb() * 1e6 / cores()))
 
 
 def point_plan(base: Base, scene: Scene, maps: SensorMaps) -> Plan:

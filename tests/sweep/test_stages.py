@@ -7,13 +7,26 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from pipeline.physics.colour import ColourFit
-from pipeline.sweep.stages import _read_key
+from pipeline.sweep.stages import _read_key, stages
 
 FIT = ColourFit(
     "x", np.array([0.0, 0.1]), (-0.5, 4.0), 0.01, 0.02, 0.8, 0.3, 0.03, 1e10, "made up", 9, None
 )
+
+
+def test_what_is_kept_leaves_room_for_a_process_on_each_core(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """800 MB free and four cores: 100 MB of values each stay, the next makes room for itself."""
+    monkeypatch.setattr("pipeline.sweep.stages.free_mb", lambda: 800.0)
+    monkeypatch.setattr("pipeline.sweep.stages.cores", lambda: 4)
+    kept = stages("a run of this test")
+    for number in (1, 2, 1, 3, 1, 2):
+        kept.get("light", (number,), lambda: None, lambda _: 50_000_000)
+    assert kept.drawn["light"] == 4  # 2 gave way to 3, and is drawn again
 
 
 def key_of(**changes: Any) -> str:
