@@ -20,7 +20,8 @@ if TYPE_CHECKING:  # each function imports what it needs: `import nightglass` ta
     from pipeline.sweep.run import SweepProgress
 
     AnyPath = str | os.PathLike[str]
-    AnyScene = Scene | Mapping[str, Any] | AnyPath
+    AnyFile = Mapping[str, Any] | AnyPath  # or what it holds
+    AnyScene = Scene | AnyFile
 
 __all__ = [
     "BadInput",
@@ -239,7 +240,7 @@ def find(
 
 
 def sweep(
-    sweep: Mapping[str, Any] | AnyPath,
+    sweep: AnyFile,
     out: AnyPath,
     *,
     scheduler: str = "threads",
@@ -296,7 +297,7 @@ def sweep(
 
 
 def study(
-    study: Mapping[str, Any] | AnyPath,
+    study: AnyFile,
     out: AnyPath,
     *,
     scheduler: str = "processes",

@@ -231,7 +231,7 @@ def _stream(
             window += 1
 
     finish_windows()
-    for item in _run(opened(), course, left) if left else ():
+    for item in _run(opened, course, left):
         done.add(item)
         if listen is not None:
             listen(SweepProgress(total - len(items) + len(done), total, 0))
@@ -239,8 +239,8 @@ def _stream(
     return np.array(sorted(failed), np.int64)
 
 
-def _run(scheduler: Scheduler, course: StudyCourse, items: list[Item]) -> Iterator[Item]:
-    for item, answer in scheduler.each(find_candidates, course, items):
+def _run(opened: Opened, course: StudyCourse, items: list[Item]) -> Iterator[Item]:
+    for item, answer in opened().each(find_candidates, course, items) if items else ():
         if isinstance(answer, DiskFull | BadInput) or getattr(answer, "errno", None):
             raise answer
         if isinstance(answer, Exception):

@@ -41,9 +41,7 @@ def check(course: Course, options: Options | None = None) -> Checked:
     warnings: dict[str, int] = {}
     for point in dict.fromkeys((0, design.size // 2, design.size - 1)):
         try:
-            one = prepare(scene_of(course, design, point))
-            if options is not None and (options.processes or options.most_memory_mb):
-                check_room(one, options.most_memory_mb, options.processes)
+            one = _planned(course, point, options)
         except NightglassError as error:
             faults.append(error)
             continue
@@ -58,6 +56,14 @@ def check(course: Course, options: Options | None = None) -> Checked:
         [f"point {point}: {warning}" for warning, point in warnings.items()],
         max(predict(one.plan, one.forecast, one.spent)["cpu_s"] for one in found),
     )
+
+
+def _planned(course: Course, point: int, options: Options | None) -> Prepared:
+    """The plan of a point, which this machine holds where its processes draw it."""
+    one = prepare(scene_of(course, course.design, point))
+    if options is not None and (options.processes or options.most_memory_mb):
+        check_room(one, options.most_memory_mb, options.processes)
+    return one
 
 
 def _measured(course: Course, found: Prepared) -> tuple[str, ...]:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.spec.study_load import parse_study
 from service.problems import NotAllowed
 from service.scenes.scenes import HasFile, check_named, named_in
 from service.settings import Settings
+
+if TYPE_CHECKING:
+    from pipeline.sweep.run import Listener, SweepProgress
 
 STATE_CPU_S = 1e-6  # of an object at a step, at least
 
@@ -36,7 +39,7 @@ def accept_study(
     return plain
 
 
-def run_study(order: JsonObject, listen: Any) -> JsonObject:
+def run_study(order: JsonObject, listen: Listener) -> JsonObject:
     """Run a stored study, in the worker's process."""
     from pipeline.capacity import run
 
@@ -45,7 +48,7 @@ def run_study(order: JsonObject, listen: Any) -> JsonObject:
     )
     tasks = 0
 
-    def hear(progress: Any) -> None:
+    def hear(progress: SweepProgress) -> None:
         nonlocal tasks
         tasks = progress.total
         listen(progress)
