@@ -31,6 +31,7 @@ SWEEP_S_PER_POINT = 2e-8  # of that grid, for each segment of its streak
 KERNEL_S_PER_POINT = 7e-8  # of the grid that a wing is made on, with its core; of a band the same
 CORE_S_PER_SAMPLE = 1.3e-7  # of a response's core, with its spectrum
 PUPIL_S_PER_POINT = 1.2e-8  # and more of it for each wavelength of an aperture with a wavefront
+THREAD_SHARE = 0.5  # of a tile's arrays, that each further thread holds at once with the first
 LIBRARY_MB = 150.0  # more, of one that draws sources: compiled loops, tables of responses
 KERNEL_BYTES = 128e6  # of the wings of blocks, that a process keeps
 TABLE_BYTES = 192e6  # of the cores, spectra and tables that a process keeps
@@ -115,9 +116,14 @@ def predict(
     }
 
 
-def check_memory(plan: Plan, forecast: StarForecast | None, spent: Spent, most_mb: float) -> None:
-    """BadInput, naming what takes most, where a plan's memory is more than there is."""
+def check_memory(
+    plan: Plan, forecast: StarForecast | None, spent: Spent, most_mb: float, threads: int = 1
+) -> None:
+    """BadInput, naming what takes most, where the memory of a process with so many threads that
+    draw is more than there is."""
     parts = _memory_mb(plan, forecast, spent)
+    at_once = min(threads, plan.frames * len(plan.tiles))
+    parts["threads"] = (at_once - 1) * THREAD_SHARE * parts["tile"]
     needed = sum(parts.values())
     if needed <= most_mb:
         return
@@ -131,6 +137,7 @@ def check_memory(plan: Plan, forecast: StarForecast | None, spent: Spent, most_m
             "a brighter limit",
         ),
         "tables": ("sensor.psf", scene.sensor.psf.kind, "fewer places, or less oversampling"),
+        "threads": ("--workers", threads, "fewer threads, or smaller tiles"),
         "wings": (
             "accuracy.flux_fraction",
             scene.accuracy.flux_fraction,

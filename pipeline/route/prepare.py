@@ -132,12 +132,14 @@ def summary_of(prepared: Prepared) -> JsonObject:
     return plan_dict(prepared.plan, prepared.forecast, facts, prepared.spent)
 
 
-def check_room(prepared: Prepared, most_mb: float | None = None, processes: int = 1) -> None:
+def check_room(
+    prepared: Prepared, most_mb: float | None = None, processes: int = 1, threads: int = 1
+) -> None:
     """BadInput where a plan forecasts more memory than this machine has free for each of so many
-    processes; most_mb : than so much, whatever is free."""
+    processes, with so many threads; most_mb : than so much, whatever is free."""
     if most_mb is None:
         most_mb = free_mb() / processes
-    check_memory(prepared.plan, prepared.forecast, prepared.spent, most_mb)
+    check_memory(prepared.plan, prepared.forecast, prepared.spent, most_mb, threads)
 
 
 def catalogue_facts_of(prepared: Prepared) -> list[JsonObject]:

@@ -6,7 +6,6 @@ their place.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
@@ -16,6 +15,7 @@ from pathlib import Path
 
 from catalog_tools.documents import JsonObject
 from catalog_tools.engine.addresses import check_scheduler
+from catalog_tools.engine.ahead import cores
 from catalog_tools.engine.schedulers import Scheduler, open_scheduler
 from pipeline.errors import BadInput, Incomplete, NightglassError, TryLater
 from pipeline.route.draw import Listener, Progress, draw
@@ -63,8 +63,13 @@ class Options:
     @property
     def processes(self) -> int:
         """How many processes of this machine draw; 0 where those of others do."""
-        own = {"threads": 1, "synchronous": 1, "processes": self.workers or os.cpu_count() or 1}
+        own = {"threads": 1, "synchronous": 1, "processes": self.workers or cores()}
         return own.get(self.scheduler, 0)
+
+    @property
+    def threads(self) -> int:
+        """How many threads of each of them draw."""
+        return (self.workers or cores()) if self.scheduler == "threads" else 1
 
 
 def render(
@@ -95,7 +100,7 @@ def render(
         summary = summary_of(prepared)
         check_cost(scene, summary, options.most_cpu_s)
         if options.processes or options.most_memory_mb:
-            check_room(prepared, options.most_memory_mb, options.processes)
+            check_room(prepared, options.most_memory_mb, options.processes, options.threads)
         times: JsonObject = {"plan_s": time.perf_counter() - started}
         with ExitStack() as drawing:
             # Before an old product is removed; else not before there is something to draw.

@@ -62,7 +62,7 @@ def _planned(course: Course, point: int, options: Options | None) -> Prepared:
     """The plan of a point, which this machine holds where its processes draw it."""
     one = prepare(scene_of(course, course.design, point))
     if options is not None and (options.processes or options.most_memory_mb):
-        check_room(one, options.most_memory_mb, options.processes)
+        check_room(one, options.most_memory_mb, options.processes, options.threads)
     return one
 
 

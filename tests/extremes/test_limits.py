@@ -141,6 +141,21 @@ def test_processes_share_the_memory_that_is_free(monkeypatch):
         check_room(prepared, processes=2)
 
 
+def test_threads_hold_a_tile_each(monkeypatch, tmp_path):
+    """Some 150 MB more for each that draws at once, as measured with 2 to 8; one tile has one."""
+    data = scene_data(MONO, output={"tile_shape": [2048, 2048]})
+    data["sensor"]["shape"] = [2048, 2048]
+    monkeypatch.setattr("pipeline.route.prepare.free_mb", lambda: 2000.0)
+    for frames, fit in ((1, 64), (2, 64), (100, 4)):
+        data["exposure"]["frames"] = frames
+        check_room(prepare(parse_scene(data)), threads=fit)
+    with pytest.raises(BadInput, match=r"^--workers: 64 .* fewer threads"):
+        check_room(prepare(parse_scene(data)), threads=64)
+    assert [Options(s, 5).threads for s in ("threads", "synchronous", "processes")] == [5, 1, 1]
+    with pytest.raises(BadInput, match=r"^--workers: 64 "):
+        render(parse_scene(data), tmp_path / "p", Options("threads", 64))
+
+
 
 @pytest.mark.parametrize("scheduler", ["synchronous", "tcp://127.0.0.1:1"])
 def test_a_render_beyond_the_memory_draws_nothing(tmp_path, scheduler):
