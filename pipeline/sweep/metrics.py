@@ -15,6 +15,7 @@ from pipeline.execute.outlook import clear_time_s, limiting_light_e, limiting_ma
 from pipeline.execute.sources import FrameTarget, place_targets
 from pipeline.physics.detection import filtered, peak_near, robust_noise
 from pipeline.physics.noise.chain import calibrated_e
+from pipeline.plan.accuracy import total_sigma
 from pipeline.plan.plan import Plan
 from pipeline.plan.sensor.detector import full_e
 from pipeline.plan.tiles import Tile, overlap
@@ -107,6 +108,8 @@ class Measurement:
             out |= self._limit()
         if "saturation" in self.metrics:
             out["saturated_fraction"] = self._saturated / self._pixels if self._pixels else None
+        if "timing" in self.metrics:  # what takes the time, against it
+            out["error_bound_sigma"] = total_sigma(self.plan.decisions)
         for name in self.names:
             snr, peaks = self._snr[name], self._peaks[name]
             if "snr" in self.metrics:

@@ -10,7 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.inputs.sensor.sensor import gather_sensor_maps
+from pipeline.plan.accuracy import INSTEAD
 from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.route.prepare import plan_scene
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.product import content_digest
@@ -54,6 +56,19 @@ def test_same_bits_as_each_point_alone(case, sweep_file, tmp_path):
         render(point_scene(path, row["point"]), alone, Options("synchronous"))
         assert content_digest(alone) == row["content_digest"]
     assert content_digest(tmp_path / "swept" / "cubes" / "0000001") == rows[1]["content_digest"]
+
+
+def test_what_a_point_may_err_by_stands_beside_its_time(sweep_file, tmp_path):
+    """As in the plan of its scene alone; more where more is allowed."""
+    asked = [0.003, 0.3]
+    path = sweep_file([{"field": "accuracy.noise_fraction", "values": asked}], metrics=["timing"])
+    rows = rows_of(path, tmp_path / "swept")
+    for row, most in zip(rows, asked, strict=True):
+        told = plan_scene(point_scene(path, row["point"]))["decisions"]
+        bounds = [d["error_bound_sigma"] for d in told if d["component"] not in INSTEAD]
+        assert row["error_bound_sigma"] == pytest.approx(sum(b or 0.0 for b in bounds))
+        assert 0.0 < row["error_bound_sigma"] <= most
+    assert rows[1]["error_bound_sigma"] > 3.0 * rows[0]["error_bound_sigma"]
 
 
 @pytest.mark.parametrize(
