@@ -401,3 +401,13 @@ def test_as_many_repeated_ids_are_named_as_may_be_and_more_are_told(more):
     found = _repeated(SimpleNamespace(leaves=[]), list(range(MOST_REPEATED + more)))
     named = [f for f in found if f.what.startswith("source_id ")]
     assert (len(named), len(found) - len(named)) == (MOST_REPEATED, more)
+
+
+@pytest.mark.parametrize("more", [-3, 3])
+def test_rows_of_a_row_group_are_told_beside_those_of_the_manifest(small, more):
+    leaf = small.leaf(0)
+    data = file_of(small, leaf.path).read_bytes()
+    rows = pq.read_metadata(pa.BufferReader(data)).row_group(0).num_rows
+    group = SimpleNamespace(row_group=0, rows=rows + more)
+    with pytest.raises(Damaged, match=f"group 0 has {rows} rows; the manifest: {rows + more}$"):
+        verify_shards._decode(data, pq.read_metadata(pa.BufferReader(data)), leaf, group)
