@@ -411,15 +411,17 @@ def test_an_unfinished_ingest_of_other_arguments_is_refused(tmp_path, parts, mon
 
 
 def test_a_source_that_changed_since_is_read_again(tmp_path, parts, monkeypatch):
+    """It repeats stars of another one now, which no source did before."""
     stars, files = parts
     monkeypatch.setattr(build, "BATCH_SOURCES", 1)
     with monkeypatch.context() as patch:
         patch.setattr(build, "write_manifest", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             ingest(files, tmp_path / "c", rows_per_leaf=800, workers=1)
-    write_csv(files[1], stars.slice(2000, 1500))
+    write_csv(files[1], stars.slice(1900, 1600))
     report = ingest(files, tmp_path / "c", rows_per_leaf=800)
-    assert (report.rows_in, report.continued) == (5500, 2)
+    assert (report.rows_in, report.continued) == (5600, 2)
+    assert report.rejected == {"source_id occurs more than once": 100}
     kept = pa.concat_tables([stars.slice(0, 3500), stars.slice(4000)])
     assert same_rows(cone(report.catalogue, 0, 0, 180)[0], kept)
     assert verify(report.catalogue).findings == ()  # no shard of the first run is left
