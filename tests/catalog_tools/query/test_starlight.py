@@ -179,10 +179,12 @@ def test_against_published_starlight():
 
 
 def test_stars_of_no_catalogue_stay_whatever_the_limit():
+    """No limit has any of them drawn, so none is held to account for their graininess."""
     v = from_galactic(np.array([0.0]), np.array([40.0]))
     beyond = sl.CountedLight(18.0, in_no_catalogue=True)
     for limit in (10.0, 18.0, 20.0, 30.0):
         assert beyond.fainter(limit, v).g[0] == sl.CountedLight().fainter(18.0, v).g[0] > 0.0
+        assert beyond.fainter(limit, v).g_squared[0] == 0.0
 
 
 def test_counts_between_two_magnitudes_add_up():
