@@ -20,7 +20,9 @@ from catalog_tools.storage import durable
 from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.cli import _explain as explain
 from pipeline.cli import app
+from pipeline.commands.jobs import read_scene
 from pipeline.errors import NO_ROOM, BadInput
+from pipeline.spec.load import load_scene
 from tests.command import nightglass
 
 SCENE = {
@@ -140,6 +142,19 @@ def test_elements_given_as_the_scene(tmp_path):
         result = nightglass("plan", tmp_path / "sat.tle")
         assert result.returncode == 2
         assert "two-line elements stand in one, as `orbit: {kind: tle" in result.stderr
+
+
+@pytest.mark.parametrize("text", [b"seed: 1\nseed: 2\n", b"name: \xff\n", b"{"])
+def test_text_that_is_no_scene_is_told_by_its_file_for_a_server_too(text, tmp_path):
+    path = tmp_path / "scene.yaml"
+    path.write_bytes(text)
+    said = []
+    for read in (load_scene, read_scene):
+        with pytest.raises(BadInput) as refused:
+            read(path, [])
+        said.append(str(refused.value))
+    assert said[0] == said[1]
+    assert str(path) in said[0]
 
 
 def test_bad_images(tmp_path):
