@@ -187,7 +187,8 @@ def test_quotas(database: str) -> None:
 def test_pending_jobs_are_amended_and_run_once(database: str) -> None:
     store = Queue(database)
     [(job, _)] = submit_many(store, [ask(phase=Phase.PENDING)], TeamLimits())
-    store.amend(job.id, "red", scene={"b": 2}, name="new", run_id="mine")
+    now = store.amend(job.id, "red", scene={"b": 2}, name="new", run_id="mine")
+    assert now == store.get(job.id) != job
     assert (store.scene(job.id), store.get(job.id).run_id) == ({"b": 2}, "mine")
     assert store.claim() is None
     with pytest.raises(NotThere):
