@@ -320,8 +320,9 @@ def test_rows_beyond_the_useable_times_hold_the_polynomials(tmp_path: Path) -> N
             true, _ = two_body(np.array([7e6, 0, 0]), np.array([0, 6e3, 5500.0]), np.array([0, 60]))
             assert np.linalg.norm(found - true, axis=1).max() < 1e-5
         else:
-            with pytest.raises(BadInput, match="06:07:05"):
+            with pytest.raises(BadInput, match="06:07:05") as refused:
                 table({"kind": "ephemeris", "path": str(path)})
+            assert refused.value.field == "targets.0.orbit.path"
 
 
 @pytest.mark.parametrize("frame", ["TEME", "ITRF2014", "GCRF"])
