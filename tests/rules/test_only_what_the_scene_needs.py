@@ -248,9 +248,10 @@ def test_stars_below_the_limit_are_not_drawn(few, tmp_path):
     assert [plan["star_rows_to_read"] > 0 for plan in read] == [False, True]
     assert read[0]["shards"] == 0
     asked = plan_scene(few({"stars.faintest_g_mag": 8.0, "background": {"starlight": "all"}}))
+    noise = plan_scene(few({"stars.limit_from_noise": True}))  # the rest of the light is the sky's
     left_out = [sum("neither drawn nor in the sky" in r for r in p["remarks"])
-                for p in (*read, asked)]  # fmt: skip
-    assert left_out == [1, 1, 0]
+                for p in (*read, asked, noise)]  # fmt: skip
+    assert left_out == [1, 1, 0, 0]
 
 
 SECTIONS = ("stars", "targets", "background", "cosmic_rays")
