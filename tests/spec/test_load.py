@@ -154,6 +154,12 @@ def test_missing_large_and_strange_files(tmp_path: Path) -> None:
         load_scene(empty)
 
 
+def test_a_file_as_large_as_may_be_is_read(tmp_path: Path, full: dict[str, Any]) -> None:
+    file, text = tmp_path / "scene.json", json.dumps(full).encode()
+    file.write_bytes(text + b" " * (MAX_BYTES - len(text)))
+    assert load_scene(file) == parse_scene(full, base=tmp_path)
+
+
 def test_data_nested_beyond_all_measure_is_refused(full: dict[str, Any]) -> None:
     """Given from Python, where no reader has counted the levels."""
     deep: Any = {}
