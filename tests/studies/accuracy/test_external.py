@@ -10,8 +10,8 @@ import pytest
 
 from pipeline.studies.accuracy.engines import EngineCase
 from pipeline.studies.accuracy.external import PeerFailed, _run, run_skymaker
-from pipeline.studies.accuracy.peers import external_settings, installed_peers
-from pipeline.studies.accuracy.reference import GaussianStar, straight
+from pipeline.studies.accuracy.peers import external_settings, installed_peers, peer_settings
+from pipeline.studies.accuracy.reference import AiryStar, GaussianStar, exact_pixels, straight
 
 # Stands in for SkyMaker: a pixel for each star of the list, at FITS coordinates, by magnitude.
 STAND_IN = """#!{python}
@@ -60,3 +60,19 @@ def test_peers_that_are_missing_or_fail_are_named(tmp_path: Path) -> None:
     assert all(p.cannot for p in found.values())
     with pytest.raises(PeerFailed, match="no such thing"):
         _run(["sh", "-c", "echo no such thing >&2; exit 3"], str(tmp_path))
+
+
+@pytest.mark.parametrize("star", [GaussianStar(0.8), AiryStar(1.0, 0.3)])
+@pytest.mark.parametrize(("engine", "streak_px"), [
+    ("GalSim", 0.0), ("GalSim", 12.0), ("photutils", 0.0),
+])  # fmt: skip
+def test_peers_draw_what_is_asked_of_them(
+    engine: str, streak_px: float, star: GaussianStar | AiryStar
+) -> None:
+    """At their finest: the star, its place, its light and its way, against the exact pixels."""
+    pytest.importorskip(engine.lower(), reason=f"{engine} is not installed")
+    case = EngineCase(star, straight(streak_px, 0.6435), streak_px, (48, 64))
+    finest = [s for s in peer_settings(case, quick=False) if s.engine == engine][-1]
+    made = finest.make(case).draw(np.array([30.3]), np.array([22.8]), np.array([5.0]))
+    exact = exact_pixels(star, case.track, 30.3, 22.8, np.arange(64.0), np.arange(48.0))
+    assert np.abs(made - 5.0 * exact).max() < 3e-4
