@@ -39,7 +39,7 @@ from pipeline.spec.study_load import parse_study
 from pipeline.store.layout import full_disk, only_writer
 from pipeline.sweep import ledger
 from pipeline.sweep.design import Design
-from pipeline.sweep.points import set_field
+from pipeline.sweep.points import check_axes, set_field
 from pipeline.sweep.run import SweepProgress
 
 STATE, STUDY, SEEN = "state.npz", "study.json", "observations"
@@ -69,15 +69,14 @@ Opened = Callable[[], Scheduler]
 def forecast_of(data: JsonObject, folder: Path) -> JsonObject:
     """What a study takes (`StudyCourse.forecast`), of all its points together, and `remarks`.
 
-    Every point is read, and the first, middle and last are looked at: BadInput for one that cannot
-    be, before any is begun.
+    Every axis is tried value by value, and the first, middle and last points are looked at:
+    BadInput for one that cannot be, before any is begun.
     """
     study = parse_study(data)
-    points = [_at_point(data, study, point)[0] for point in range(study.points)]
-    for own in points:
-        parse_study(own)
-    some = dict.fromkeys((0, len(points) // 2, len(points) - 1))
-    courses = [make_course(_placed(points[point], folder), Path()) for point in some]
+    check_axes(Design(study), _without_axes(data), parse_study)
+    some = dict.fromkeys((0, study.points // 2, study.points - 1))
+    points = [_at_point(data, study, point)[0] for point in some]
+    courses = [make_course(_placed(own, folder), Path()) for own in points]
     told = [course.forecast for course in courses]
     return told[0] | {
         "points": study.points,
@@ -165,9 +164,7 @@ def _check_cost(cpu_s: float, options: StudyOptions) -> None:
 
 def _at_point(data: JsonObject, study: Study, point: int) -> tuple[JsonObject, JsonObject]:
     """The study of one point of the axes, without axes, and the values it has."""
-    own = json.loads(
-        json.dumps({k: v for k, v in data.items() if k not in ("axes", "design", "seeds")})
-    )
+    own = _without_axes(data)
     if study.points == 1:
         return own, {}
     design = Design(study)
@@ -176,6 +173,13 @@ def _at_point(data: JsonObject, study: Study, point: int) -> tuple[JsonObject, J
         set_field(own, name, value)
     own["seed"] = study.seed + design.seed_step(point)
     return own, values | ({"seed": own["seed"]} if study.seeds > 1 else {})
+
+
+def _without_axes(data: JsonObject) -> JsonObject:
+    """A copy of a study's data as of one without axes."""
+    kept = {k: v for k, v in data.items() if k not in ("axes", "design", "seeds")}
+    own: JsonObject = json.loads(json.dumps(kept))
+    return own
 
 
 def _placed(data: JsonObject, folder: Path) -> JsonObject:

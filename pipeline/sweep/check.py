@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
 from pipeline.errors import BadInput, NightglassError
 from pipeline.plan.needs import predict
 from pipeline.route.prepare import Prepared, check_room, prepare
 from pipeline.route.run import Options
+from pipeline.spec.load import parse_scene
 from pipeline.sweep.points import Course, check_axes, scene_of
 
 MOST_TARGETS = 64
@@ -35,7 +38,7 @@ def check(course: Course, options: Options | None = None) -> Checked:
     is refused where none of them can be, a point that fails later is recorded.
     """
     design = course.design
-    check_axes(course)
+    check_axes(design, course.data, partial(parse_scene, base=Path(course.base_folder)))
     faults: list[NightglassError] = []
     found: list[Prepared] = []
     warnings: dict[str, int] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -179,35 +179,35 @@ def light_group(design: Design, point: int) -> tuple[tuple[str, object], ...]:
     return tuple((k, repr(v)) for k, v in values.items() if k not in AFTER_LIGHT)
 
 
-def check_axes(course: Course) -> None:
-    """Refuse axes whose values no scene takes, by the names of the axis and of the field.
+def check_axes(design: Design, base: JsonObject, parse: Callable[[JsonObject], object]) -> None:
+    """Refuse axes whose values are not taken, by the names of the axis and of the field.
 
+    base : plain data in which the axes set fields; parse : raises InvalidScene for what is wrong
     Values are tried one by one beside the first point's: of a list each (the first thousand), of a
-    range both ends. Combinations are not tried: a point that fails is recorded when its turn comes.
+    range both ends. Combinations are not tried.
     """
-    design = course.design
     first = design.values(0)
-    for i, axis in enumerate(course.sweep.axes):
+    for i, axis in enumerate(design.axes):
         for name in axis.fields:
             for k, value in enumerate(design.extremes(name)[:1000]):
-                data = copy.deepcopy(course.data)
+                data = copy.deepcopy(base)
                 for other, theirs in {**first, name: value}.items():
                     set_field(data, other, theirs)
                 try:
-                    parse_scene(data, base=Path(course.base_folder))
+                    parse(data)
                 except InvalidScene as mistakes:
                     mine = [m for m in mistakes.mistakes if _concerns(m[0], name)]
                     field, given, allowed = (mine or mistakes.mistakes)[0]
-                    if field in _own_mistakes(course):
+                    if field in _own_mistakes(base, parse):
                         raise
                     told = allowed.removeprefix("allowed: ")
                     raise BadInput(f"axes.{i} ({field}), value {k}", given, told) from None
 
 
-def _own_mistakes(course: Course) -> set[str]:
-    """The fields that are wrong in the base scene itself."""
+def _own_mistakes(base: JsonObject, parse: Callable[[JsonObject], object]) -> set[str]:
+    """The fields that are wrong in the base itself."""
     try:
-        parse_scene(copy.deepcopy(course.data), base=Path(course.base_folder))
+        parse(copy.deepcopy(base))
     except InvalidScene as mistakes:
         return {field for field, *_ in mistakes.mistakes}
     return set()
