@@ -113,6 +113,20 @@ def test_each_name_of_a_list_is_registered(scene: dict[str, Any], tmp_path: Path
             accept_scene(scene, service)
 
 
+@pytest.mark.parametrize("more", ["", "/../x"])
+def test_only_what_an_upload_may_be_called_is_looked_for(
+    scene: dict[str, Any], tmp_path: Path, more: str
+) -> None:
+    """32 hexadecimal digits and an ending; with more behind it, it is no file of anybody's."""
+    asked: list[str] = []
+    file_id = f"{'0' * 31}a.npy"
+    scene["sensor"]["flat"] = f"upload:{file_id}{more}"
+    said = "no path or URL" if more else "no such file"
+    with pytest.raises(NotAllowed, match=said):
+        accept_scene(scene, Settings(tmp_path), lambda named: bool(asked.append(named)))
+    assert asked == [file_id] * (not more)
+
+
 def test_a_product_may_not_be_too_large(tmp_path: Path, scene: dict[str, Any]) -> None:
     """Frames x pixels of each layer: 2 bytes of dn (1 to 8 by its bits), 4 of any other."""
     scene["output"] = {"layers": ["dn", "mean_e"]}
