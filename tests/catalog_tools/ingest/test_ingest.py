@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import ctypes
 import hashlib
 import os
+import platform
 import shutil
 from dataclasses import replace
 from itertools import pairwise, permutations
@@ -578,6 +580,25 @@ def test_leaves_that_would_not_fit_into_memory_are_refused(tmp_path, parts, monk
     monkeypatch.setattr(memory, "LEAF_ROW_BYTES", (2 << 30) // 300)
     with pytest.raises(BadInput, match="399 rows in one pixel of order 18"):
         ingest([tmp_path / "one.csv"], tmp_path / "d", rows_per_leaf=100)
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc keeps what is freed")
+def test_memory_that_was_freed_is_given_back():
+    """64 MB in blocks below one that is kept: the system has at least half of them again."""
+    libc, size = ctypes.CDLL(None), 1 << 16
+    libc.malloc.restype, libc.malloc.argtypes = ctypes.c_void_p, [ctypes.c_size_t]
+    libc.free.argtypes = [ctypes.c_void_p]
+    *below, top = (ctypes.memset(libc.malloc(size), 1, size) for _ in range(1024))
+    for block in below:
+        libc.free(block)
+    held = resident_bytes()
+    memory.give_back()
+    assert held - resident_bytes() > 32 << 20
+    libc.free(top)
+
+
+def resident_bytes():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def test_values_that_no_star_has_count_as_absent(tmp_path):
