@@ -106,6 +106,19 @@ def test_every_pixel_is_within_the_accuracy(name: str, light_e: float) -> None:
     assert image.min() >= -plan.responses.budget_e
 
 
+@pytest.mark.parametrize("number", [0, 1, 2])
+@pytest.mark.parametrize("name", ["airy", "moffat"])
+def test_wings_of_a_crowd_err_by_no_more_than_is_told(name: str, number: int) -> None:
+    """Fifty stars in one place, just faint enough for their class: their errors add up."""
+    plan, exact = case(name)
+    light_e = 0.99 * plan.responses.classes[number].brightest_e
+    stars = field(np.repeat(X, 50), np.repeat(Y, 50), np.full(50, light_e))
+    g, whole = geometry_of(plan), Tile(0, 0, 0, 0, SIDE, SIDE)
+    block = render_block(plan, g, whole, [stars])
+    off_e = np.abs(draw_stars(plan, g, whole, [stars], [block]) - 50.0 * light_e * exact).max()
+    assert plan.responses.budget_e < off_e < block.wing_error_e
+
+
 @pytest.mark.parametrize("name", ["airy", "moffat", "gaussian"])
 def test_the_check_agrees(name: str) -> None:
     """Windows drawn again do not go through what they check; nor without time for it."""
@@ -202,13 +215,14 @@ def test_the_brighter_a_target_the_closer_it_keeps_to_its_path(rate: float, phot
 
 @pytest.mark.parametrize("light_e", [1e3, 3e3])
 def test_a_star_that_sets_follows_its_way_as_if_it_did_not(light_e: float) -> None:
-    """A px of its way has the same light however much of it is seen, and may be off as little."""
+    """A px of its way has the same light however much of it is seen, and may be off as little; that
+    of a fainter star by more."""
     plan, paths = plan_of({"kind": "gaussian", "sigma_px": 1.0}, 0.0, 0.0, roll_deg=10.0), []
-    for part in (0.1, 0.999):
-        stars = field(np.array([60.0]), np.array([60.0]), np.array([part * light_e]))
+    for part, whole_e in ((0.1, light_e), (0.999, light_e), (0.999, 100.0)):
+        stars = field(np.array([60.0]), np.array([60.0]), np.array([part * whole_e]))
         stars = replace(stars, visible_fraction=np.array([part]))
         paths += [star.path for star in setting_stars(plan, geometry_of(plan), stars)]
-    assert paths[1].segments > 8
+    assert paths[1].segments > paths[2].segments > 8
     np.testing.assert_array_equal(paths[0].x_px, paths[1].x_px)
 
 
