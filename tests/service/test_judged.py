@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
+import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from pipeline.inputs.targets.meshes import MOST_FACETS
+from service.engine import looks
+from service.engine.looks import Looks
+from service.settings import Settings
 
 STARE = {"mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0}
 TURNED = {  # its boresight sinks below the horizon of the site within the exposures
@@ -154,6 +161,30 @@ def test_good_files_are_judged_once_for_all_seeds(judging: Any, scene: dict[str,
         assert seed == 0 or time.monotonic() - began < 1.0
     for job in jobs:
         judging.client.delete(job)
+
+
+def test_of_more_judgements_than_are_kept_the_oldest_go(
+    tmp_path: Path, scene: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two are kept: a third takes the first one's place, and is known afterwards."""
+    judged: list[str] = []
+
+    async def look(_: Looks, team: str, *__: Any) -> None:
+        judged.append(team)
+
+    async def stay() -> None:
+        await asyncio.Event().wait()
+
+    async def story() -> None:
+        seen = Looks(Settings(tmp_path), Mock(), threading.Event())
+        for team in ("a", "b", "c", "c", "b", "a"):
+            await seen.judge(Mock(receive=stay), team, scene)
+
+    monkeypatch.setattr(looks, "KEPT", 2)
+    monkeypatch.setattr(Looks, "_look", look)
+    scene["sensor"]["flat"] = f"upload:{'0' * 32}.npy"
+    asyncio.run(story())
+    assert judged == ["a", "b", "c", "a"]
 
 
 def test_what_cannot_be_judged_in_time_is_taken(
