@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import shutil
 import sys
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from catalog_tools.catalogue import open_catalogue
 from catalog_tools.engine.schedulers import LocalScheduler
-from catalog_tools.errors import BadInput, Damaged
+from catalog_tools.errors import BadInput, Damaged, DiskFull
 from catalog_tools.geometry.healpix_interpolation import neighbours
 from catalog_tools.query import starlight as sl
 from catalog_tools.query.query import cone
@@ -147,6 +149,15 @@ def test_damage_is_found_and_named(made, tmp_path):
         sl.read_starlight(open_catalogue(other))
     (other / sl.STARLIGHT_NAME).unlink()
     assert sl.read_starlight(open_catalogue(other)) is None
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG])
+def test_a_full_disk_is_said_as_one(made, monkeypatch, code):
+    """A disk, a quota or the largest file there may be; the map that was there stays."""
+    monkeypatch.setattr(np, "savez_compressed", Mock(side_effect=OSError(code, "no room")))
+    with pytest.raises(DiskFull, match="make room"):
+        sl.make_starlight(made[0])
+    np.testing.assert_array_equal(sl.read_starlight(made[0]).light, made[1].light)
 
 
 def test_refusals(made):
