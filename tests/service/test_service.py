@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import copy
 import json
 import time
@@ -15,7 +16,9 @@ from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.store.product import check
+from service.app import create_app
 from service.engine.attempts import bytes_of
+from service.settings import Settings
 
 FINAL = ("COMPLETED", "ERROR", "ABORTED")
 
@@ -233,6 +236,20 @@ def test_events_tell_every_change_and_end(server: Any, scene: dict[str, Any]) ->
     assert "data:" not in again.text
     earlier = server.client.get(f"{job}/events", headers={"last-event-id": "1"})
     assert earlier.text.count("data:") == 1
+
+
+def test_it_starts_and_stops_as_its_server_asks(tmp_path: Path) -> None:
+    """By ASGI's messages of a server's life, which are no requests."""
+    asked, said = iter(("lifespan.startup", "lifespan.shutdown")), []
+
+    async def receive() -> Any:
+        return {"type": next(asked)}
+
+    async def send(message: Any) -> None:
+        said.append(message["type"])
+
+    asyncio.run(create_app(Settings(tmp_path))({"type": "lifespan"}, receive, send))
+    assert said == ["lifespan.startup.complete", "lifespan.shutdown.complete"]
 
 
 def test_health_listing_and_page(server: Any, finished: str) -> None:
