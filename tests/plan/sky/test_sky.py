@@ -312,6 +312,8 @@ def test_solid_angle_of_a_wide_field(scene):
         ({"observer": {"kind": "fixed", "position_au": [5.2, 0.0, 0.0]}}, "observer", "0.3 to 3"),
         ({"observer": {"kind": "fixed", "position_au": [0.0, -0.4, 0.92]}}, "observer",
          "8[0-9.]+ deg off the ecliptic.*30 degrees"),
+        ({"pointing.boresight_ra_deg": 180.0, "pointing.boresight_dec_deg": 12.0},
+         "background.zodiacal", "15 degrees or more; near_sun: extrapolate goes to 2"),
     ],
 )  # fmt: skip
 def test_refusals(scene, changes, field, said):

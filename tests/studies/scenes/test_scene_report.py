@@ -29,6 +29,7 @@ from pipeline.studies.scenes.exact import _below, _bright_places
 from pipeline.studies.scenes.figure import ladder_figure
 from pipeline.studies.scenes.report import report_scenes
 from pipeline.studies.scenes.switches import LARGEST_DOUBLED_PX, _finer_wings
+from pipeline.studies.scenes.tables import print_study
 
 NAMES, LEVELS = ("earth-limb",), "0.05"
 ROW = {
@@ -142,6 +143,17 @@ def test_page_stands_alone(report):
     kinds = ("levels", "switches")
     assert len(rows) == sum(len(s[kind]) for s in found["scenes"] for kind in kinds)
     assert (report / "report.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_both_tables_are_printed(report, capsys):
+    """A row for each level, and one for each approximation, after what it is of."""
+    found = json.loads((report / "report.json").read_text())
+    print_study(found)
+    rows = capsys.readouterr().out.splitlines()
+    for scene in found["scenes"]:
+        names = [f"{r['noise_fraction']:g}" for r in scene["levels"]]
+        names += [s["component"] for s in scene["switches"]]
+        assert not {f"{scene['title']}, {name}" for name in names} - set(rows)
 
 
 def test_figure_of_one_level(report):
