@@ -271,6 +271,18 @@ def test_a_sweep_from_a_mapping_or_a_file(tmp_path, monkeypatch):
     refused(nightglass.NightglassError, "axes", nightglass.sweep, sweep | {"axes": 1}, "other")
 
 
+def test_only_retry_failed_tries_failed_points_again(tmp_path):
+    """Of two points one lacks its file at first: going on leaves it as it is."""
+    flat = tmp_path / "flat.npy"
+    sweep = {"schema": "nightglass/sweep/1", "name": "two", "scene": SCENE,
+             "axes": [{"field": "sensor.flat", "values": [1.0, str(flat)]}]}  # fmt: skip
+    again = {"sweep": sweep, "out": tmp_path / "out", "scheduler": "synchronous"}
+    assert nightglass.sweep(**again)["failed"] == 1
+    np.save(flat, np.ones(SCENE["sensor"]["shape"]))
+    assert nightglass.sweep(**again, resume=True)["failed"] == 1
+    assert nightglass.sweep(**again, retry_failed=True)["failed"] == 0
+
+
 def test_a_study_from_a_mapping_or_a_file(tmp_path):
     short = SMALL | {"duration_h": 0.5}
     (tmp_path / "study.json").write_text(json.dumps(short))
