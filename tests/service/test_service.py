@@ -175,6 +175,7 @@ def test_cancel_and_delete(server: Any, long_scene: dict[str, Any]) -> None:
     before = kept()
     job, waiting = server.submit(long_scene), server.submit(long_scene)
     server.until(job, lambda found: (found["tiles_done"] or 0) >= 1)
+    assert server.client.get(f"{job}/plan").json()["frames"] == 24  # while it runs
     assert server.client.post(f"{waiting}/cancel").json()["phase"] == "ABORTED"
     answer = server.client.post(f"{job}/cancel")
     assert (answer.status_code, answer.json()["cancel_asked"]) == (202, True)
