@@ -13,6 +13,7 @@ from catalog_tools.catalogue import REJECTS_NAME
 from catalog_tools.coverage import Coverage
 from catalog_tools.errors import BadInput
 from catalog_tools.fetch.fetched import note_coverage
+from catalog_tools.forms.load import FOLDER
 from catalog_tools.geometry.gaia_ids import CORNER_DEG, MOVED_DEG, misplaced
 from catalog_tools.ingest.ingest import ingest
 from catalog_tools.ingest.judging import DUPLICATE, ELSEWHERE, MISPLACED
@@ -55,6 +56,18 @@ def test_rows_elsewhere_are_rejected_with_their_reason(tmp_path):
     assert [row["source_id"] for row in reasons_of(report.catalogue)] == ids[:20].tolist()
     assert report.catalogue.rows == 980
     assert report.notes == ()
+    assert verify(report.catalogue).whole
+
+
+def test_ids_of_another_kind_tell_no_places(tmp_path):
+    """As large as Gaia's, in a form that does not say that they hold places: every row stays."""
+    ids, ra, dec = gaia_like(100)
+    dr2 = FOLDER / "gaia_dr2.toml"
+    form = tmp_path / "other.toml"
+    form.write_text(dr2.read_text().replace("holds_place = true", ""))
+    path = write(tmp_path / "s.csv", ids[::-1], ra, dec)
+    report = ingest([path], tmp_path / "made", form=form)
+    assert (report.rejected, report.catalogue.rows) == ({}, 100)
     assert verify(report.catalogue).whole
 
 
