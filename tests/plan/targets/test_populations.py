@@ -168,7 +168,10 @@ def test_same_whatever_the_batches(tle: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_against_other_kinds_of_file(lines: list[list[str]], tle: Path, tmp_path: Path) -> None:
-    """OMM as JSON, CSV and KVN, and lines without names, keep what the lines with names keep."""
+    """OMM as JSON, CSV and KVN, and lines without names, keep what the lines with names keep.
+
+    So do those that begin with a byte order mark, as spreadsheets save them.
+    """
     sets = [exporter.export_omm(Satrec.twoline2rv(a, b), name) for name, a, b in lines]
     (tmp_path / "a.json").write_text(json.dumps(sets, indent=1))
     with (tmp_path / "b.csv").open("w", newline="") as stream:
@@ -179,8 +182,11 @@ def test_against_other_kinds_of_file(lines: list[list[str]], tle: Path, tmp_path
         "".join("CCSDS_OMM_VERS = 2.0\n" + "".join(f"{k} = {v}\n" for k, v in s.items())
                 for s in sets))  # fmt: skip
     (tmp_path / "d.txt").write_text("\r\n".join(x for _, a, b in lines for x in (a, b)))
+    for name in ("a.json", "b.csv"):
+        text = (tmp_path / name).read_text(encoding="utf-8")
+        (tmp_path / f"marked-{name}").write_text(text, encoding="utf-8-sig")
     wanted = kept(scene(tle))
-    for name in ("a.json", "b.csv", "c.kvn", "d.txt"):
+    for name in ("a.json", "b.csv", "c.kvn", "d.txt", "marked-a.json", "marked-b.csv"):
         assert kept(scene(tmp_path / name)) == wanted, name
 
 
