@@ -389,6 +389,18 @@ def test_what_stands_in_a_log_line_is_redacted() -> None:
     assert "ValueError: no such key: ng_0123456789ab_***" in line["traceback"]
 
 
+@pytest.mark.parametrize("separator", ["\n", "\r\n", "\x85", "\u2028"])
+def test_a_log_record_is_one_line_whatever_it_tells(separator: str) -> None:
+    """A path is decoded before it is logged: it may hold whatever ends a line."""
+    path = f"/v1/jobs/a{separator}b"
+    record = logging.LogRecord("nightglass", logging.INFO, "f", 1, "%s", (path,), None)
+    record.path = path
+    text = JsonLines().format(record)
+    assert len(text.splitlines()) == 1
+    line = json.loads(text)
+    assert (line["message"], line["path"]) == (path, path)
+
+
 def test_only_this_machine_is_served_unless_asked_otherwise() -> None:
     from pipeline.commands.serve import serve
 
