@@ -382,6 +382,14 @@ def test_bad_sweeps_are_named_and_nothing_runs(name, sweep_file, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_mistake_of_the_base_scene_is_told_as_its_own(sweep_file, tmp_path):
+    """Under the name of its field: no axis is to blame."""
+    path = sweep_file([NOISE], {"sensor.adc_bits": 99})
+    with pytest.raises(InvalidScene) as refused:
+        sweep(path, tmp_path / "out")
+    assert [field for field, *_ in refused.value.mistakes] == ["sensor.adc_bits"]
+
+
 def test_exit_code_of_a_bad_sweep(sweep_file, tmp_path):
     path = sweep_file([NOISE], {"stars.catalogue": str(tmp_path / "nowhere")})
     result = nightglass("sweep", path, "-o", tmp_path / "out")
