@@ -168,6 +168,7 @@ def test_polar_motions_are_an_angle_and_a_speed(satsim):
     motion = {"mode": "affine-polar", "rotation": 0.0, "translation": [30, 4]}
     line = {"mode": "line-polar", "origin": [0.5, 0.5], "velocity": [30, 4], "mv": 9}
     found = satsim({"geometry.stars.motion": motion, "geometry.obs.list": [line]})
+    assert found.notes.converted[0].endswith("pixels of 9 arcsec")
     pointing = found.data["pointing"]
     assert pointing["rate_ra_arcsec_s"] == pytest.approx(9 * 4 * math.sqrt(0.75))
     assert pointing["rate_dec_arcsec_s"] == pytest.approx(-9 * 2.0)
