@@ -325,6 +325,8 @@ def test_a_fault_is_one_message_or_on_request_its_trace(monkeypatch, capsys):
     said = capsys.readouterr().err
     assert said.startswith("nightglass: internal fault: ValueError: odd\n")
     assert "NIGHTGLASS_DEBUG=1" in said
+    assert explain(RuntimeError("odd")) == 1  # as a thread that cannot be started, but it is none
+    assert capsys.readouterr().err.startswith("nightglass: internal fault: RuntimeError: odd\n")
     monkeypatch.setenv("NIGHTGLASS_DEBUG", "1")
     with pytest.raises(ValueError, match="odd"):
         explain(ValueError("odd"))
