@@ -64,6 +64,7 @@ class StudyOptions:
 
 Listener = Callable[[SweepProgress], None]
 Opened = Callable[[], Scheduler]
+Begins = Callable[[JsonObject], None]
 
 
 def forecast_of(data: JsonObject, folder: Path) -> JsonObject:
@@ -91,10 +92,12 @@ def run_study(
     out: Path,
     options: StudyOptions | None = None,
     listen: Listener | None = None,
+    begins: Begins | None = None,
 ) -> JsonObject:
     """Run a study's plain data into a folder and return its report; of one with axes, each point
     below `points/`, and a table of their figures.
 
+    begins : called with the forecast, as of `forecast_of`, before anything is done
     folder : from which relative paths are taken. BadInput before anything is begun, Incomplete
     where work stopped (what is done is kept).
     """
@@ -106,6 +109,13 @@ def run_study(
         )
         if study.points == 1:
             course = make_course(_placed(data, folder), out)
+            told = course.forecast | {"remarks": list(course.remarks)}
+        else:
+            told = forecast_of(data, folder)
+        _check_cost(told["cpu_s"], options)
+        if begins is not None:
+            begins(told)
+        if study.points == 1:
             return _run_point(study, course, options, opened, listen)
         return _run_points(data, study, folder, out, options, opened, listen)
 
@@ -119,7 +129,6 @@ def _run_points(
     opened: Opened,
     listen: Listener | None,
 ) -> JsonObject:
-    _check_cost(forecast_of(data, folder)["cpu_s"], options)
     ledger.begin(out, {"study": data}, options.resume, "study")
     rows: list[JsonObject] = []
     notes: dict[str, int] = {}
@@ -133,6 +142,7 @@ def _run_points(
             course = make_course(_placed(own, folder), place)
         except BadInput as error:
             raise BadInput(f"point {point}: {error.field}", error.value, error.allowed) from None
+        _check_cost(course.forecast["cpu_s"], options)
         report = _run_point(parse_study(own), course, again, opened, heard)
         rows.append({"point": point, **values, **report["figures"]})
         notes |= {note: point for note in report["notes"] if note not in notes}
@@ -198,7 +208,6 @@ def _run_point(
 ) -> JsonObject:
     """Run a study without axes into its course's folder."""
     started, out = time.perf_counter(), Path(course.out)
-    _check_cost(course.forecast["cpu_s"], options)
     ledger.begin(out, {"format": study.schema_, "study": course.key}, options.resume, "study")
     with full_disk(out), only_writer(out):
         if ledger.is_complete(out, OBJECTS):

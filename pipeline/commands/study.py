@@ -25,6 +25,8 @@ from pipeline.errors import BadInput
 from pipeline.lines import fold, pair
 from pipeline.spec.study_load import read_study
 
+LONG_S = 600.0  # of one core: what is known of such a study is told before it runs
+
 
 def study(
     file: Annotated[Path, typer.Argument(help="study file, YAML or JSON", metavar="STUDY")],
@@ -58,8 +60,15 @@ def study(
     options = StudyOptions(scheduler, workers, resume, yes)
     kept = told_if_interrupted(str(output), lambda: "finished tasks are kept")
     with kept, progress_listener("tasks", is_quiet(as_json)) as listen:
-        report = run_study(data, folder, output, options, listen)
+        report = run_study(data, folder, output, options, listen, None if as_json else _foretell)
     _tell(report, output, as_json)
+
+
+def _foretell(told: JsonObject) -> None:
+    """What to know of a long study before it has run: it may not be worth its time."""
+    if told["cpu_s"] > LONG_S:
+        print(f"{told['cpu_s'] / 60.0:.0f} min of one core")
+        _print_notes(told["remarks"])
 
 
 def _tell(report: JsonObject, output: Path, as_json: bool) -> None:

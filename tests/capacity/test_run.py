@@ -102,12 +102,15 @@ def test_options_of_the_command(
     assert (told["objects"], told["steps"], out.exists()) == (10, 30, False)
     monkeypatch.setattr("pipeline.capacity.run.MOST_CPU_S", 1e-6)
     run = ("study", file, *short, "--scheduler", "synchronous", "-o", out)
+    monkeypatch.setattr("pipeline.commands.study.LONG_S", 1e-6)
     refused = nightglass(*run)
     assert (refused.returncode, "or --yes" in refused.stderr) == (2, True)
     report = json.loads(nightglass(*run, "--yes").stdout)
     assert (report["hours"], report["figures"]["objects"]) == (0.5, 10)
     assert "--resume" in nightglass(*run, "--yes").stderr
     assert json.loads(nightglass(*run, "--yes", "--resume").stdout) == report
+    first, *_ = nightglass(*run[:-5], *run[-4:], "--yes", "--resume").stdout.splitlines()
+    assert first == "0 min of one core"  # a study that takes long
 
 
 def test_points_are_forecast_together(
