@@ -101,15 +101,14 @@ class Measurement:
 
     def row(self) -> JsonObject:
         """The metrics by the names of their columns; None where there is nothing to tell."""
-        out: JsonObject = {"content_digest": self.content_digest()}
+        bound = total_sigma(self.plan.decisions)  # what the time is spent for
+        out: JsonObject = {"content_digest": self.content_digest(), "error_bound_sigma": bound}
         if "background" in self.metrics:
             out |= self._background()
         if "limiting_magnitude" in self.metrics:
             out |= self._limit()
         if "saturation" in self.metrics:
             out["saturated_fraction"] = self._saturated / self._pixels if self._pixels else None
-        if "timing" in self.metrics:  # what takes the time, against it
-            out["error_bound_sigma"] = total_sigma(self.plan.decisions)
         for name in self.names:
             snr, peaks = self._snr[name], self._peaks[name]
             if "snr" in self.metrics:
