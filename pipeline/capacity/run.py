@@ -107,17 +107,13 @@ def run_study(
         opened = cache(  # by the first task that is not done yet
             lambda: stack.enter_context(open_scheduler(options.scheduler, options.workers))
         )
-        if study.points == 1:
-            course = make_course(_placed(data, folder), out)
-            told = course.forecast | {"remarks": list(course.remarks)}
-        else:
-            told = forecast_of(data, folder)
-        _check_cost(told["cpu_s"], options)
-        if begins is not None:
-            begins(told)
-        if study.points == 1:
-            return _run_point(study, course, options, opened, listen)
-        return _run_points(data, study, folder, out, options, opened, listen)
+        if study.points > 1:
+            _check_forecast(forecast_of(data, folder), options, begins)
+            return _run_points(data, study, folder, out, options, opened, listen)
+        course = make_course(_placed(data, folder), out)
+        told = course.forecast | {"remarks": list(course.remarks)}
+        _check_forecast(told, options, begins)
+        return _run_point(study, course, options, opened, listen)
 
 
 def _run_points(
@@ -142,7 +138,7 @@ def _run_points(
             course = make_course(_placed(own, folder), place)
         except BadInput as error:
             raise BadInput(f"point {point}: {error.field}", error.value, error.allowed) from None
-        _check_cost(course.forecast["cpu_s"], options)
+        _check_forecast(course.forecast, options)
         report = _run_point(parse_study(own), course, again, opened, heard)
         rows.append({"point": point, **values, **report["figures"]})
         notes |= {note: point for note in report["notes"] if note not in notes}
@@ -161,15 +157,17 @@ def _hear_point(listen: Listener, point: int, points: int, progress: SweepProgre
     listen(replace(progress, done=done, total=points * progress.total))
 
 
-def _check_cost(cpu_s: float, options: StudyOptions) -> None:
-    """BadInput for a study that is forecast to take longer than is meant."""
+def _check_forecast(told: JsonObject, options: StudyOptions, begins: Begins | None = None) -> None:
+    """BadInput for a study that is forecast to take longer than is meant; else `begins` hears."""
     most_cpu_s = options.most_cpu_s or MOST_CPU_S
-    if cpu_s > most_cpu_s and not options.yes:
+    if told["cpu_s"] > most_cpu_s and not options.yes:
         remedy = "shorten it" if options.most_cpu_s else "shorten it, or --yes"
-        hours = cpu_s / 3600.0
-        told = f"{hours:.0f}" if hours >= 10.0 else f"{hours:.2g}"
+        hours = told["cpu_s"] / 3600.0
+        asked = f"{hours:.0f}" if hours >= 10.0 else f"{hours:.2g}"
         allowed = f"up to {most_cpu_s / 3600.0:.3g} h: {remedy}"
-        raise BadInput("study", f"{told} h of one core", allowed)
+        raise BadInput("study", f"{asked} h of one core", allowed)
+    if begins is not None:
+        begins(told)
 
 
 def _at_point(data: JsonObject, study: Study, point: int) -> tuple[JsonObject, JsonObject]:
