@@ -33,6 +33,8 @@ from pipeline.capacity.tasking import (
     task_window,
 )
 from pipeline.errors import BadInput, DiskFull, Incomplete
+from pipeline.inputs.memory import free_mb
+from pipeline.route.run import Options
 from pipeline.spec.load import place_paths
 from pipeline.spec.study import CuedTasking, Study
 from pipeline.spec.study_load import parse_study
@@ -70,19 +72,28 @@ Begins = Callable[[JsonObject], None]
 def forecast_of(data: JsonObject, folder: Path) -> JsonObject:
     """What a study takes (`StudyCourse.forecast`), of all its points together, and `remarks`.
 
-    Every axis is tried value by value, and the first, middle and last points are looked at:
-    BadInput for one that cannot be, before any is begun.
+    Every axis is tried value by value, and the first, middle and last points are looked at: a study
+    is refused where none of them can be; a remark names one that cannot.
     """
     study = parse_study(data)
     check_axes(Design(study), _without_axes(data), parse_study)
     some = dict.fromkeys((0, study.points // 2, study.points - 1))
-    points = [_at_point(data, study, point)[0] for point in some]
-    courses = [make_course(_placed(own, folder), Path()) for own in points]
+    courses: list[StudyCourse] = []
+    faults: dict[int, BadInput] = {}
+    for point in some:
+        try:
+            courses.append(make_course(_placed(_at_point(data, study, point)[0], folder), Path()))
+        except BadInput as error:
+            faults[point] = error
+    if not courses:
+        raise next(iter(faults.values()))
     told = [course.forecast for course in courses]
+    remarks = [f"point {point} cannot be: {error}" for point, error in faults.items()]
+    remarks += [remark for course in courses for remark in course.remarks]
     return told[0] | {
         "points": study.points,
         "cpu_s": float(np.mean([one["cpu_s"] for one in told])) * study.points,
-        "remarks": list(dict.fromkeys(r for course in courses for r in course.remarks)),
+        "remarks": list(dict.fromkeys(remarks)),
     }
 
 
@@ -94,8 +105,10 @@ def run_study(
     listen: Listener | None = None,
     begins: Begins | None = None,
 ) -> JsonObject:
-    """Run a study's plain data into a folder and return its report; of one with axes, each point
-    below `points/`, and a table of their figures.
+    """Run a study's plain data into a folder and return its report.
+
+    Of one with axes, each point runs below `points/`, and a table has a row of figures for each; of
+    a point that cannot be, its message.
 
     begins : called with the forecast, as of `forecast_of`, before anything is done
     folder : from which relative paths are taken. BadInput before anything is begun, Incomplete
@@ -134,18 +147,29 @@ def _run_points(
         place.parent.mkdir(exist_ok=True)
         again = replace(options, resume=place.exists())
         heard = listen and partial(_hear_point, listen, point, study.points)
+        row = {"point": point, **values, "status": "done", "message": None}
         try:
             course = make_course(_placed(own, folder), place)
+            _check_forecast(course.forecast, options)
         except BadInput as error:
-            raise BadInput(f"point {point}: {error.field}", error.value, error.allowed) from None
-        _check_forecast(course.forecast, options)
+            rows.append(row | {"status": "failed", "message": str(error)})
+            continue
         report = _run_point(parse_study(own), course, again, opened, heard)
-        rows.append({"point": point, **values, **report["figures"]})
+        rows.append(row | report["figures"])
         notes |= {note: point for note in report["notes"] if note not in notes}
+    told = [f"point {point}: {note}" for note, point in notes.items()]
+    return _write_points(study, out, rows, told)
+
+
+def _write_points(study: Study, out: Path, rows: list[JsonObject], told: list[str]) -> JsonObject:
+    """Write the table of a study's points and its report, which is returned."""
+    columns = dict.fromkeys(name for row in rows for name in row)
+    rows = [dict.fromkeys(columns) | row for row in rows]
     with whole_file(out / POINTS) as table:
         pq.write_table(pa.Table.from_pylist(rows), table)
-    told = [f"point {point}: {note}" for note, point in notes.items()]
-    whole = {"study": study.name, "points": rows, "notes": told}
+    failed = [row for row in rows if row["status"] == "failed"]
+    told += [f"point {row['point']} failed: {row['message']}" for row in failed]
+    whole = {"study": study.name, "points": rows, "failed": len(failed), "notes": told}
     write_atomically(out / REPORT, json.dumps(whole, indent=2) + "\n")
     ledger.seal(out, (POINTS, REPORT))
     return whole
@@ -158,7 +182,8 @@ def _hear_point(listen: Listener, point: int, points: int, progress: SweepProgre
 
 
 def _check_forecast(told: JsonObject, options: StudyOptions, begins: Begins | None = None) -> None:
-    """BadInput for a study that is forecast to take longer than is meant; else `begins` hears."""
+    """BadInput for a study that is forecast to take longer than is meant, or more memory than this
+    machine has free; else `begins` hears."""
     most_cpu_s = options.most_cpu_s or MOST_CPU_S
     if told["cpu_s"] > most_cpu_s and not options.yes:
         remedy = "shorten it" if options.most_cpu_s else "shorten it, or --yes"
@@ -166,6 +191,11 @@ def _check_forecast(told: JsonObject, options: StudyOptions, begins: Begins | No
         asked = f"{hours:.0f}" if hours >= 10.0 else f"{hours:.2g}"
         allowed = f"up to {most_cpu_s / 3600.0:.3g} h: {remedy}"
         raise BadInput("study", f"{asked} h of one core", allowed)
+    here = Options(options.scheduler, options.workers)
+    at_once, each_mb, free = here.processes * here.threads, told["worker_memory_mb"], free_mb()
+    if at_once > 1 and at_once * each_mb > free:
+        allowed = f"fewer workers of {each_mb:.0f} MB each: {free:.0f} MB are free here"
+        raise BadInput("--workers", at_once, allowed)
     if begins is not None:
         begins(told)
 

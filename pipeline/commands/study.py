@@ -81,8 +81,10 @@ def _tell(report: JsonObject, output: Path, as_json: bool) -> None:
 def _print_report(report: JsonObject, output: Path) -> None:
     figures = report.get("figures")
     if figures is None:
-        print(f"{output}: {len(report['points'])} points; {output / 'points.parquet'}")
-        _print_notes(report.get("notes", []))  # a server may be older
+        failed = report.get("failed", 0)  # a server may be older
+        told = f"{len(report['points'])} points, {failed} failed"
+        print(f"{output}: {told}; {output / 'points.parquet'}")
+        _print_notes(report.get("notes", []))
         return
     print(f"{output}: {report['study']}, {report['hours']:g} h in {report['seconds']:.1f} s")
     for name, value in figures.items():

@@ -12,6 +12,7 @@ from pipeline.commands.jobs import Server, run_there
 from pipeline.commands.options import (
     Json,
     Output,
+    Overrides,
     SchedulerName,
     Slurm,
     Workers,
@@ -22,6 +23,7 @@ from pipeline.commands.pages import is_quiet, print_warnings, progress_listener
 from pipeline.errors import BadInput
 from pipeline.lines import fold, pair
 from pipeline.spec.load import scene_yaml
+from pipeline.spec.sweep_load import read_sweep
 from pipeline.sweep.forecast import forecast_course
 from pipeline.sweep.run import Options, gather_course, point_scene
 from pipeline.sweep.run import sweep as run
@@ -32,6 +34,7 @@ SweepFile = Annotated[Path, typer.Argument(help="sweep file, YAML or JSON", meta
 def sweep(
     file: SweepFile,
     output: Output = Path("sweep"),
+    set_: Overrides = None,
     scheduler: SchedulerName = "threads",
     workers: Workers = None,
     slurm: Slurm = False,
@@ -52,31 +55,30 @@ def sweep(
 
     With --server it runs there, and its results are fetched.
     """
+    overrides = set_ or []
     if server is not None:
         placed = scheduler != "threads", workers is not None, slurm
         here = any((*placed, resume, retry_failed, dry_run))
-        _there(file, output, server, as_json, here, point)
+        _there(file, output, overrides, server, as_json, here or point is not None)
         return
     if dry_run:
-        _print_forecast(file, as_json)
+        _print_forecast(forecast_course(gather_course(file, Path(), overrides)), as_json)
         return
     if point is not None:
-        print(scene_yaml(point_scene(file, point)), end="")
+        print(scene_yaml(point_scene(file, point, overrides)), end="")
         return
     options = Options("slurm" if slurm else scheduler, workers, resume or retry_failed)
     kept = told_if_interrupted(str(output), lambda: "finished points are kept")
     with kept, progress_listener("points", is_quiet(as_json)) as listen:
-        report = run(
-            file, output, options, retry_failed, listen, None if as_json else print_warnings
-        )
+        warn = None if as_json else print_warnings
+        report = run(file, output, options, retry_failed, listen, warn, overrides)
     if as_json:
         print_json(report)
     else:
         _print(report, output)
 
 
-def _print_forecast(file: Path, as_json: bool) -> None:
-    told = forecast_course(gather_course(file, Path()))
+def _print_forecast(told: JsonObject, as_json: bool) -> None:
     if as_json:
         print_json(told)
         return
@@ -103,14 +105,15 @@ def _print_forecast(file: Path, as_json: bool) -> None:
 
 
 def _there(
-    file: Path, output: Path, server: str, as_json: bool, decided: bool, point: int | None
+    file: Path, output: Path, overrides: list[str], server: str, as_json: bool, decided: bool
 ) -> None:
-    if decided or point is not None:
+    if decided:
         allowed = (
             "without --resume, --retry-failed, --workers, --scheduler, --slurm, --point, --dry-run"
         )
         raise BadInput("--server", "with them", allowed)
-    report = run_there("sweep", file, output, server, as_json)
+    asked = read_sweep(file, overrides, placed=False) if overrides else file
+    report = run_there("sweep", asked, output, server, as_json)
     if as_json:
         print_json(report)
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
@@ -15,10 +15,10 @@ from catalog_tools.engine.schedulers import Scheduler, open_scheduler
 from catalog_tools.storage.durable import write_atomically
 from pipeline.errors import BadInput, DiskFull, Incomplete
 from pipeline.route.run import Options
-from pipeline.spec.load import parse_text, place_paths
+from pipeline.spec.load import place_paths
 from pipeline.spec.scene import Scene
 from pipeline.spec.sweep import Sweep
-from pipeline.spec.sweep_load import load_sweep
+from pipeline.spec.sweep_load import load_sweep, read_base
 from pipeline.store.layout import full_disk, only_writer
 from pipeline.sweep import ledger
 from pipeline.sweep.check import Checked, check
@@ -60,14 +60,17 @@ def sweep(
     retry_failed: bool = False,
     listen: Listener | None = None,
     warn: Warned | None = None,
+    overrides: Iterable[str] = (),
 ) -> JsonObject:
     """Run a sweep file into a folder and return its report.
 
+    overrides : `a.b=value`, set in the file's data first; `scene.a.b=value` in its base scene
     warn : told the warnings of its first, middle and last point before any is drawn
     options.resume goes on with an unfinished one. Raises BadInput for a sweep that can't be run,
     before anything is; Incomplete where work stopped before its end (what is done is kept).
     """
-    return run_course(gather_course(path, out), out, options, retry_failed, listen, warn)
+    course = gather_course(path, out, overrides)
+    return run_course(course, out, options, retry_failed, listen, warn)
 
 
 def run_course(
@@ -136,34 +139,26 @@ def _check_cost(course: Course, checked: Checked, most_cpu_s: float | None) -> N
         raise BadInput("axes", f"{size} points", allowed)
 
 
-def gather_course(path: Path, out: Path) -> Course:
-    """Read a sweep file and its base scene; paths in them are made absolute."""
-    request = load_sweep(path)
-    folder = path.parent.resolve()
-    return course_of(request, folder, out)
+def gather_course(path: Path, out: Path, overrides: Iterable[str] = ()) -> Course:
+    """Read a sweep file, with `a.b=value` overrides, and its base scene; paths in them are made
+    absolute."""
+    return course_of(load_sweep(path, overrides), path.parent.resolve(), out)
 
 
 def course_of(request: Sweep, folder: Path, out: Path) -> Course:
     """A sweep ready to run; relative paths in it are from `folder`."""
     if isinstance(request.scene, str):
-        file = folder / request.scene
-        if not file.is_file():
-            raise BadInput(
-                "scene", request.scene, "an existing scene file, from the sweep's folder"
-            )
-        data, home = parse_text(file.read_bytes(), str(file)), file.parent
+        data, home = read_base(request.scene, folder)
     else:
         data, home = json.loads(json.dumps(request.scene)), folder
-    if not isinstance(data, dict):
-        raise BadInput("scene", data, "a scene: a mapping of sections")
     place_paths(data, home)
     floors = floors_of(request, str(folder))
     return Course(request, data, str(folder), floors, uuid4().hex, str(out.resolve()))
 
 
-def point_scene(path: Path, point: int) -> Scene:
+def point_scene(path: Path, point: int, overrides: Iterable[str] = ()) -> Scene:
     """The scene of one point as it is rendered: alone it gives the same bits."""
-    course = gather_course(path, Path())
+    course = gather_course(path, Path(), overrides)
     if not 0 <= point < course.sweep.points:
         raise BadInput("--point", point, f"0 to {course.sweep.points - 1}")
     scene = scene_of(course, course.design, point)

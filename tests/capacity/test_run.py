@@ -18,7 +18,7 @@ import pytest
 
 from pipeline.capacity.course import make_course
 from pipeline.capacity.run import StudyOptions, _is_whole, _searched, forecast_of, run_study
-from pipeline.errors import BadInput, NightglassError
+from pipeline.errors import BadInput
 from pipeline.sweep.ledger import PointLedger
 from pipeline.sweep.run import SweepProgress
 from tests.command import nightglass
@@ -131,26 +131,73 @@ def test_points_are_forecast_together(
     assert len(report["points"]) == 4
 
 
-@pytest.mark.parametrize(
-    ("field", "values", "told"),
-    [
-        ("cameras.0.sensor.aperture_m", [0.1, 0.2, -5.0, 0.3], r"axes.0 \(.*\), value 2: -5"),
-        ("sensors.0.observer.latitude_deg", [10.0, 20.0, 30.0, 40.0, 85.0], "never dark enough"),
-    ],
-)
-def test_a_point_that_cannot_be_is_refused_before_any_is_begun(
-    data: Data, tmp_path: Path, field: str, values: list[float], told: str
+@pytest.mark.parametrize("scheduler", ["processes", "threads"])
+def test_workers_that_this_machine_does_not_hold_are_refused(
+    data: Data, tmp_path: Path, scheduler: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every value is tried; of the last point it is seen that its site has no night."""
-    data |= {"start": "2019-06-21T00:00:00Z", "axes": [{"field": field, "values": values}]}
-    data["sensors"] = data["sensors"][:1]
-    with pytest.raises(NightglassError, match=told):
+    monkeypatch.setattr("pipeline.capacity.run.page", lambda *_: "")
+    data["catalogue"]["synthetic"]["objects"], data["duration_h"] = 10, 0.5
+    each_mb = forecast_of(data, tmp_path)["worker_memory_mb"]
+    monkeypatch.setattr("pipeline.capacity.run.free_mb", lambda: 2.5 * each_mb)
+    with pytest.raises(BadInput, match=f"fewer workers of {each_mb:.0f} MB each") as refused:
+        run_study(data, tmp_path, tmp_path / "out", StudyOptions(scheduler, 3))
+    assert refused.value.field == "--workers"
+    assert not (tmp_path / "out").exists()
+    run_study(data, tmp_path, tmp_path / "out", StudyOptions(scheduler, 2))
+
+
+def test_a_value_that_cannot_be_is_refused_before_any_point_is_begun(
+    data: Data, tmp_path: Path
+) -> None:
+    data["axes"] = [{"field": "cameras.0.sensor.aperture_m", "values": [0.1, 0.2, -5.0, 0.3]}]
+    with pytest.raises(BadInput, match=r"axes.0 \(.*\), value 2: -5"):
         run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous"))
     assert not (tmp_path / "out").exists()
-    if told == "never dark enough":  # what is not looked at before is told with its number
-        data["axes"][0]["values"] = [10.0, 85.0, 20.0, 30.0]
-        with pytest.raises(BadInput, match=r"point 1: sensors.0.*never dark enough"):
-            run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous"))
+
+
+@pytest.mark.parametrize("nights", [[10.0, 85.0, 20.0, 30.0], [85.0, 84.0, 10.0]])
+def test_a_point_that_cannot_be_is_a_row_with_its_message(
+    data: Data, tmp_path: Path, nights: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In summer it does not get dark there; of points looked at before that is told first."""
+    monkeypatch.setattr("pipeline.capacity.run.page", lambda *_: "")
+    field, out = "sensors.0.observer.latitude_deg", tmp_path / "out"
+    data |= {"start": "2019-06-21T00:00:00Z", "axes": [{"field": field, "values": nights}]}
+    data["sensors"], data["duration_h"] = data["sensors"][:1], 24.0
+    data["catalogue"]["synthetic"]["objects"] = 10
+    (tmp_path / "study.json").write_text(json.dumps(data))
+    never = [point for point, latitude in enumerate(nights) if latitude > 60.0]
+    told: list[Data] = []
+    run = data, tmp_path, out, StudyOptions("synchronous"), None, told.append
+    report = run_study(*run)
+    rows = pq.read_table(out / "points.parquet").to_pylist()
+    assert (rows, len(never)) == (report["points"], report["failed"])
+    for point, row in enumerate(rows):
+        assert (row["point"], row[field]) == (point, nights[point])
+        assert row["status"] == ("failed" if point in never else "done")
+        assert (row["objects"] is None) == (row["message"] is not None) == (point in never)
+        alone = tmp_path / "alone" / str(point)
+        if point not in never:
+            data["sensors"][0]["observer"]["latitude_deg"] = nights[point]
+            own = {k: v for k, v in data.items() if k != "axes"}
+            figures = run_study(own, tmp_path, alone, StudyOptions("synchronous"))["figures"]
+            assert {k: row[k] for k in figures} == figures
+    looked_at = {0, len(nights) // 2, len(nights) - 1}
+    foretold = [remark for remark in told[0]["remarks"] if "cannot be" in remark]
+    assert [int(remark.split()[1]) for remark in foretold] == sorted(looked_at & set(never))
+    assert all("never dark enough" in text for text in foretold)
+    lines = nightglass("study", tmp_path / "study.json", "-o", tmp_path / "b").stdout.split("\n")
+    assert f"{len(nights)} points, {len(never)} failed" in lines[0]
+    for point in never:
+        assert any(f"point {point} failed: sensors.0.field_of_regard" in line for line in lines)
+
+
+def test_a_study_none_of_whose_points_can_be_is_refused(data: Data, tmp_path: Path) -> None:
+    axis = {"field": "sensors.0.observer.latitude_deg", "values": [82.0, 83.0, 85.0]}
+    data |= {"start": "2019-06-21T00:00:00Z", "axes": [axis], "sensors": data["sensors"][:1]}
+    with pytest.raises(BadInput, match="never dark enough"):
+        run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous"))
+    assert not (tmp_path / "out").exists()
 
 
 DIES = """

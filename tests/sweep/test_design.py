@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import tracemalloc
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.stats import qmc
 
 from pipeline.errors import BadInput
 from pipeline.spec.load import MAX_BYTES
-from pipeline.spec.sweep_load import load_sweep, parse_sweep
+from pipeline.spec.sweep_load import load_sweep, parse_sweep, read_sweep
 from pipeline.sweep.dependence import AFTER_LIGHT
 from pipeline.sweep.design import BLOCK, Design
 
@@ -100,6 +101,35 @@ def test_a_sweep_file_is_there_and_no_larger_than_a_scene_may_be(tmp_path):
         load_sweep(large)
     with pytest.raises(BadInput, match="an existing sweep file"):
         load_sweep(tmp_path / "none.yaml")
+
+
+def test_keys_of_a_sweep_and_of_its_scene_are_set(tmp_path):
+    """`scene.` sets them in the scene's file, whose paths are from its own folder."""
+    axes = [{"field": "a", "values": [1, 2]}]
+    sweep = {"schema": "nightglass/sweep/1", "name": "d", "axes": axes}
+    (tmp_path / "scenes").mkdir()
+    for name, stars in (("first", "dr2"), ("other", "made")):
+        scene = {"stars": {"catalogue": stars}, "sensor": {"shape": [8, 8]}}
+        (tmp_path / "scenes" / f"{name}.yaml").write_text(json.dumps(scene))
+    file = tmp_path / "sweep.yaml"
+    asked = {"seed": 1, "stars": {"catalogue": "made"}}
+    for base in ("scenes/first.yaml", asked):
+        file.write_text(json.dumps(sweep | {"scene": base}))
+        assert read_sweep(file) == sweep | {"scene": base}
+        assert read_sweep(file, ["scene.seed=3"])["scene"]["seed"] == 3
+    file.write_text(json.dumps(sweep | {"scene": "scenes/first.yaml"}))
+    overrides = ["seeds=4", "scene.sensor.shape=[9, 8]", "axes.0.values=[5]", "scene.seed=7"]
+    scene = {"stars": {"catalogue": "dr2"}, "sensor": {"shape": [9, 8]}, "seed": 7}
+    told = sweep | {"seeds": 4, "axes": [axes[0] | {"values": [5]}], "scene": scene}
+    assert read_sweep(file, overrides, placed=False) == told
+    scene["stars"]["catalogue"] = str(tmp_path / "scenes" / "dr2")
+    assert read_sweep(file, overrides) == told
+    assert load_sweep(file, overrides) == parse_sweep(told)
+    other = read_sweep(file, ["scene.seed=2", "scene=scenes/other.yaml"])["scene"]
+    assert other["stars"]["catalogue"] == str(tmp_path / "scenes" / "made")
+    for override, words in (("scene=no.yaml", "an existing scene file"), ("name.a=3", "a key")):
+        with pytest.raises(BadInput, match=words):
+            read_sweep(file, [override])
 
 
 @pytest.mark.parametrize(

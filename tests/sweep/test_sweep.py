@@ -406,6 +406,12 @@ def test_point_shows_its_scene(sweep_file):
     assert "read_noise_e: 40.0" in result.stdout
     assert "noise_floor_e" in result.stdout
     assert json.loads(path.read_text())["scene"]["name"] in result.stdout
+    set_ = "--set", "axes.0.values=[7, 9]", "--set", "scene.seed=41"
+    result = nightglass("sweep", path, *set_, "--point", "1")
+    assert "read_noise_e: 9.0" in result.stdout
+    assert "seed: 41" in result.stdout
+    result = nightglass("sweep", path, *set_, "--dry-run", "--json")
+    assert json.loads(result.stdout)["points"] == 2
 
 
 def test_points_of_several_seeds_have_seeds_of_their_own(sweep_file, tmp_path):

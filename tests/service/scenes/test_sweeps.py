@@ -81,6 +81,14 @@ def test_by_the_command_line(
     command(file, out, server=server.url, as_json=True)
     assert json.loads(capsys.readouterr().out)["points"] == 4
     assert pq.read_table(out / "points.parquet").num_rows == 4
+    two = tmp_path / "two"
+    base = tmp_path / "scene.json"
+    base.write_text(json.dumps(sweep["scene"]))
+    file.write_text(json.dumps(sweep | {"scene": "scene.json"}))
+    set_ = ["axes.0.values=[3, 5]", "scene.seed=41"]
+    command(file, two, set_, server=server.url, as_json=True)
+    assert json.loads(capsys.readouterr().out)["points"] == 2
+    assert json.loads((two / "sweep.json").read_text())["scene"]["seed"] == 41
     for options in ({"workers": 2}, {"point": 1}, {"resume": True}):
         with pytest.raises(BadInput, match="--server"):
             command(file, tmp_path / "other", server=server.url, **options)
