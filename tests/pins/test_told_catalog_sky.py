@@ -330,6 +330,9 @@ synthetic_plan.places_in_file(synthetic_plan.make_plan(2, 60000), 1)
 for x in [1, 10**5, 10**7, 10**9]: synthetic_plan._cell_order(x)
 synthetic_plan.magnitude_steps(), synthetic_plan.field_density()
 synthetic_sample.table_of_file(synthetic_plan.make_plan(2, 300), 0)
+for x in [0, 24, 33]: published(x)
+for x in [(0, 0, 1), (1, 1, 2), (5, 6, 6)]: synthetic_sample._source_ids(rng(x[0]),
+  synthetic_plan.Places(np.array(x), np.array(x), 0))
 for x in synthetic_clusters.CROWDS[::3]: x, synthetic_clusters.pixels_of(x),
   synthetic_clusters.interval_shares(x)
 csv_files("d", 40)
@@ -485,7 +488,9 @@ def test_what_is_made_and_fetched(here: Path) -> None:
     from catalog_tools.engine import cluster_scheduler
     from catalog_tools.fetch import cones, fetch, layout, tap
     from catalog_tools.storage import durable
+    from catalog_tools.synthetic import columns as synthetic_columns
     from catalog_tools.synthetic import csv as synthetic_csv
+    from catalog_tools.synthetic import stars as synthetic_stars
     from catalog_tools.synthetic import synthetic
     from catalog_tools.verify import distinct
 
@@ -560,6 +565,15 @@ def test_what_is_made_and_fetched(here: Path) -> None:
         text = gzip.decompress(next(Path(folder).glob("*.gz")).read_bytes()).decode().splitlines()
         return report.files, report.rows, names, text[0][:50], text[1]
 
+    def published(interval: int) -> Any:
+        """Every column of 200 stars of one interval of magnitudes."""
+        rng, v = np.random.default_rng(4), np.random.default_rng(5).normal(size=(200, 3))
+        v /= np.linalg.norm(v, axis=1)[:, None]
+        stars = dict(synthetic_stars.draw_stars(rng, interval, np.arange(200) << 50))
+        stars |= {"ra": np.arange(200.0), "dec": np.arange(200.0) - 90.0}
+        columns = synthetic_columns.all_columns(rng, stars, v, np.arange(200))
+        return dict(zip(synthetic_columns.HEADER, columns, strict=True))
+
     def banded(low: float | None, high: float | None) -> Any:
         cone, band = cones.FetchCone(-10.0, 2, 3, 9), tap.DeclinationBand(low, high)
         return tap.condition(cone, band), band.halves(cone)
@@ -576,7 +590,8 @@ def test_what_is_made_and_fetched(here: Path) -> None:
         "NUMBERS": np.array([0.0, -1.5, 1e-9, 123456.789, 9.1e7, 1 / 3, np.nan, 1e-3, 12.0]),
         "WHOLES": np.array([0, 5, 10**18, 4, 12345, 7, 1, 99999, 10000]),
         "ROOMS": ("piece_rows", "file_bytes", "bucket_rows", "leaf_rows"),
-        **{f.__name__: f for f in (asked_by_tap, banded, csv_files, brought, distinct_of, full)},
+        **{f.__name__: f for f in (asked_by_tap, banded, csv_files, published)},
+        **{f.__name__: f for f in (brought, distinct_of, full)},
         **{f.__name__: f for f in (graphs, tried, web, whole)},
         "LISTS": LISTS,
     }
