@@ -16,6 +16,7 @@ from pipeline.commands.options import (
     SchedulerName,
     Slurm,
     Workers,
+    as_stated,
     print_json,
     told_if_interrupted,
 )
@@ -72,10 +73,7 @@ def sweep(
     with kept, progress_listener("points", is_quiet(as_json)) as listen:
         warn = None if as_json else print_warnings
         report = run(file, output, options, retry_failed, listen, warn, overrides)
-    if as_json:
-        print_json(report)
-    else:
-        _print(report, output)
+    _tell(report, output, as_json)
 
 
 def _print_forecast(told: JsonObject, as_json: bool) -> None:
@@ -114,11 +112,18 @@ def _there(
         raise BadInput("--server", "with them", allowed)
     asked = read_sweep(file, overrides, placed=False) if overrides else file
     report = run_there("sweep", asked, output, server, as_json)
+    if not as_json:
+        print_warnings(report.get("warnings", []))  # a server may be older
+    _tell(report, output, as_json)
+
+
+def _tell(report: JsonObject, output: Path, as_json: bool) -> None:
+    """What came out; exit code 5 where points err by more than was stated."""
     if as_json:
         print_json(report)
     else:
-        print_warnings(report.get("warnings", []))  # a server may be older
         _print(report, output)
+    as_stated(report)
 
 
 def _print(report: JsonObject, output: Path) -> None:
@@ -126,6 +131,8 @@ def _print(report: JsonObject, output: Path) -> None:
         f"{output}: {report['points']} points in {report['seconds']:.2f} s, "
         f"{report['failed']} failed"
     )
+    for text, count in report.get("doubts", {}).items():
+        print(fold(f"{count} x {text}", " " * 6, "  warning: "))
     for name, spread in report["metrics"].items():
         if spread["known"]:
             print(f"  {name:>28}  {spread['least']:.5g} .. {spread['largest']:.5g}")

@@ -91,12 +91,9 @@ def check_tile(
     brightest source near it is expected to err most against the noise.
     One record for each window.
     """
-    frame = int(g.frame[0])
     out = []
-    for cell in plan.checks:
+    for cell in cells_to_check(plan, int(g.frame[0]), tile):
         y, x = cell.row * CELL_PX - tile.y0, cell.column * CELL_PX - tile.x0
-        if cell.frame != frame or not (0 <= y < tile.rows and 0 <= x < tile.columns):
-            continue
         part = np.s_[y : min(y + CELL_PX, tile.rows), x : min(x + CELL_PX, tile.columns)]
         drawn_e = np.sum([image[part] for image in light_e], axis=0)
         noise = noise_e(part)
@@ -104,6 +101,17 @@ def check_tile(
         for window in dict.fromkeys(_corner(w) for w in windows):
             out.append(_check_window(plan, g, cell, window, parts, drawn_e, noise))
     return out
+
+
+def cells_to_check(plan: Plan, frame: int, tile: Tile) -> list[CheckCell]:
+    """The cells of a tile that the plan checks in a frame."""
+    return [
+        cell
+        for cell in plan.checks
+        if cell.frame == frame
+        and 0 <= cell.row * CELL_PX - tile.y0 < tile.rows
+        and 0 <= cell.column * CELL_PX - tile.x0 < tile.columns
+    ]
 
 
 def _corner(part: Part) -> tuple[int, int, int, int]:

@@ -84,10 +84,15 @@ def render_tile(
         elif name != "dn":
             value = mean if name == "mean_e" else layers.get(name, np.zeros(mean.shape))
             out[name] = value.astype(np.float32)
-    images = [image for name, image in found.light_e.items() if name in ("stars_e", "targets_e")]
-    return out, check_tile(
-        plan, g, tile, sources.parts, images, lambda part: noise_e(mean, chain, part)
-    )
+    return out, _checked(plan, g, tile, sources.parts, found, mean)
+
+
+def check_light(
+    plan: Plan, maps: SensorMaps, g: Geometry, tile: Tile, sources: TileSources
+) -> list[JsonObject]:
+    """What the reference path finds in a tile, as `render_tile` tells it, and no more."""
+    found = _collected(plan, maps, g, tile, sources)
+    return _checked(plan, g, tile, sources.parts, found, found.mean_e)
 
 
 def charge_of_tile(
@@ -106,6 +111,13 @@ class _Collected(NamedTuple):
     layers: dict[str, Array]
     mean_e: Array
     drawn_e: Array | None
+
+
+def _checked(
+    plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], found: _Collected, mean_e: Array
+) -> list[JsonObject]:
+    images = [image for name, image in found.light_e.items() if name in ("stars_e", "targets_e")]
+    return check_tile(plan, g, tile, parts, images, lambda part: noise_e(mean_e, found.chain, part))
 
 
 def _collected(

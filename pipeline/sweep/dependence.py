@@ -133,4 +133,5 @@ def _values(of: Facts | Plan, but: tuple[str, ...]) -> list[object]:
 def light_content(scene: Scene) -> str:
     """A scene's own values, without those that act after the light, as text."""
     after = {"seed": True, "name": True, "cosmic_rays": True, "output": True}
-    return scene.model_dump_json(by_alias=True, exclude={**after, "sensor": set(DETECTOR)})
+    parts = {"sensor": set(DETECTOR), "accuracy": {"check_cells"}}
+    return scene.model_dump_json(by_alias=True, exclude={**after, **parts})

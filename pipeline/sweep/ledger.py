@@ -48,7 +48,7 @@ def schema_of(sweep: Sweep, names: tuple[str, ...]) -> pa.Schema:
         "background": ("background_e", "sky_e", "noise_floor_e"),
         "limiting_magnitude": ("limiting_light_e", "limiting_g_mag"),
         "saturation": ("saturated_fraction",),
-        "timing": ("seconds", "light_s", "error_bound_sigma"),
+        "timing": ("seconds", "light_s", "error_bound_sigma", "achieved_error_sigma"),
     }
     columns += [(c, pa.float64()) for m, cs in told.items() if m in sweep.metrics for c in cs]
     of_target = {

@@ -9,13 +9,14 @@ import numpy as np
 
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, Geometry, SensorMaps
+from pipeline.execute.check import summary
 from pipeline.execute.detector import tile_chain
 from pipeline.execute.light import draw_targets
 from pipeline.execute.outlook import clear_time_s, limiting_light_e, limiting_mag, target_snr
 from pipeline.execute.sources import FrameTarget, place_targets
 from pipeline.physics.detection import filtered, peak_near, robust_noise
 from pipeline.physics.noise.chain import calibrated_e
-from pipeline.plan.accuracy import total_sigma
+from pipeline.plan.accuracy import doubts_of, total_sigma
 from pipeline.plan.plan import Plan
 from pipeline.plan.sensor.detector import full_e
 from pipeline.plan.tiles import Tile, overlap
@@ -55,6 +56,7 @@ class Measurement:
     ) -> None:
         self.plan, self.maps, self.metrics, self.names = plan, maps, metrics, names
         self.request = request
+        self.checked: list[JsonObject] = []  # of windows of the light that were drawn again
         self._cells: list[Cell] = []
         self._backgrounds: list[tuple[float, int]] = []
         self._step_e = maps.typical("gain_e_per_dn")
@@ -101,8 +103,12 @@ class Measurement:
 
     def row(self) -> JsonObject:
         """The metrics by the names of their columns; None where there is nothing to tell."""
-        bound = total_sigma(self.plan.decisions)  # what the time is spent for
-        out: JsonObject = {"content_digest": self.content_digest(), "error_bound_sigma": bound}
+        bound, achieved = self._errors()  # what the time is spent for
+        out: JsonObject = {
+            "content_digest": self.content_digest(),
+            "error_bound_sigma": bound,
+            "achieved_error_sigma": achieved,
+        }
         if "background" in self.metrics:
             out |= self._background()
         if "limiting_magnitude" in self.metrics:
@@ -119,6 +125,17 @@ class Measurement:
                 out[f"frames_in_view.{name}"] = len(peaks)
                 out[f"detected_fraction.{name}"] = sum(found) / len(found) if found else None
         return out
+
+    def doubts(self) -> list[str]:
+        """What is said where the light errs by more than was stated."""
+        bound, found = self._errors()
+        return doubts_of(self.plan.scene.accuracy.noise_fraction, bound, found, True)
+
+    def _errors(self) -> tuple[float, float | None]:
+        """The bound of all approximations, and what was found, in units of an empty pixel's noise
+        and of each pixel's."""
+        found: float | None = summary(self.checked)["achieved_error_sigma"]
+        return total_sigma(self.plan.decisions), found
 
     def content_digest(self) -> str:
         """As of a product that holds `dn` alone: equal where every pixel of all frames is."""

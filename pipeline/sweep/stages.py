@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 from dask.tokenize import tokenize
 
-from catalog_tools.documents import Arguments
+from catalog_tools.documents import Arguments, JsonObject
 from catalog_tools.engine.ahead import cores
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
 from pipeline.execute.blocks import LightBlock, plan_blocks, render_block
+from pipeline.execute.check import cells_to_check
 from pipeline.execute.graph import Inputs, place_task, read_shard, shard_key
 from pipeline.execute.tables import ContentCache
-from pipeline.execute.tile import LIGHTS, tile_light
+from pipeline.execute.tile import LIGHTS, TileSources, check_light, tile_light
 from pipeline.inputs.memory import free_mb
 from pipeline.inputs.sensor.sensor import gather_sensor_maps
 from pipeline.plan.facts import noise_floor_e
@@ -142,6 +143,22 @@ class Stages:
             out |= self._light_of(base, kind, g, tile)
         return out
 
+    def checked(
+        self, base: Base, g: Geometry, tile: Tile, light: dict[str, Array]
+    ) -> list[JsonObject]:
+        """How far a tile's light is from the reference, against the noise of the base's detector,
+        which is that of the quietest point."""
+        frame = int(g.frame[0])
+        if not cells_to_check(base.plan, frame, tile):
+            return []
+
+        def make() -> list[JsonObject]:
+            sources = TileSources(self.stars(base, g)[1], [], base.prepared.rays, light)
+            return check_light(base.plan, base.prepared.maps, g, tile, sources)
+
+        key = base.key, frame, tile
+        return self.get("check", key, make, lambda records: 1000 * len(records), small=True)
+
     def _light_of(self, base: Base, kind: str, g: Geometry, tile: Tile) -> dict[str, Array]:
         part, key = base.parts[kind]
         if kind == "stars" and base.plan.shared_frames > 1:
@@ -188,9 +205,10 @@ def stages(run: str) -> Stages:
 
 
 def point_plan(base: Base, scene: Scene, maps: SensorMaps) -> Plan:
-    """The base's plan with a point's own detector, seed and name, and the noise that follows."""
+    """The base's plan with a point's own detector, seed and name, and the noise that follows; its
+    light is checked where it is drawn."""
     if not is_plain(scene):
-        return base.plan
+        return replace(base.plan, checks=())
     sensor = base.plan.scene.sensor.model_copy(
         update={name: getattr(scene.sensor, name) for name in DETECTOR}
     )
@@ -211,7 +229,7 @@ def point_plan(base: Base, scene: Scene, maps: SensorMaps) -> Plan:
         zero_e=converter[0],
         top_e=converter[1],
     )
-    return replace(base.plan, scene=mine, facts=facts)
+    return replace(base.plan, scene=mine, facts=facts, checks=())
 
 
 def maps_of(kept: Stages, base: Base, scene: Scene) -> SensorMaps:
@@ -224,10 +242,9 @@ def maps_of(kept: Stages, base: Base, scene: Scene) -> SensorMaps:
 
 
 def without_noise(scene: Scene, numbers: dict[str, float]) -> Scene:
-    """A point's scene for its base: a plain detector with these numbers, no seed, no check."""
+    """A point's scene for its base: a plain detector with these numbers, no seed."""
     output = scene.output.model_copy(update={"layers": ("dn", "mean_e")})
-    accuracy = scene.accuracy.model_copy(update={"check_cells": 0})
-    update: dict[str, object] = {"output": output, "accuracy": accuracy, "name": "base"}
+    update: dict[str, object] = {"output": output, "name": "base"}
     if not is_plain(scene):
         return scene.model_copy(update=update)
     plain: Arguments = {

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import html
 import json
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from catalog_tools.documents import JsonObject
@@ -40,7 +40,7 @@ def summarise(sweep: Sweep, out: Path, names: tuple[str, ...], told: JsonObject)
             "targets": list(names),
             "metrics": {name: _spread(file, name) for name in metrics},
         }
-        | _failures(file)
+        | _messages(file)
         | told
     )
     report["versions"] = {"nightglass": own_version()}
@@ -52,16 +52,20 @@ def summarise(sweep: Sweep, out: Path, names: tuple[str, ...], told: JsonObject)
     return report
 
 
-def _failures(file: pq.ParquetFile) -> JsonObject:
-    """How many points failed, and the commonest messages."""
-    counts: dict[str, int] = {}
-    for batch in file.iter_batches(columns=["message"]):
-        for item in pc.value_counts(batch.column(0)).to_pylist():
-            if item["values"] is not None:
-                text = item["values"][:300]
-                counts[text] = counts.get(text, 0) + item["counts"]
-    most = sorted(counts.items(), key=lambda kv: -kv[1])[:MOST_MESSAGES]
-    return {"failed": sum(counts.values()), "messages": dict(most)}
+def _messages(file: pq.ParquetFile) -> JsonObject:
+    """How many points failed, or err by more than was stated; the commonest messages of each."""
+    counts: dict[str, Counter[str]] = {"failed": Counter(), "done": Counter()}
+    for batch in file.iter_batches(columns=["message", "status"]):
+        for text, status in zip(*(column.to_pylist() for column in batch.columns), strict=True):
+            if text is not None:
+                counts[status][text[:300]] += 1
+    failed, doubts = counts["failed"], counts["done"]
+    return {
+        "failed": failed.total(),
+        "messages": dict(failed.most_common(MOST_MESSAGES)),
+        "errors": {"as_stated": not doubts, "doubted": doubts.total()},
+        "doubts": dict(doubts.most_common(MOST_MESSAGES)),
+    }
 
 
 def _spread(file: pq.ParquetFile, name: str) -> dict[str, float | int | None]:
@@ -117,7 +121,8 @@ def _page(report: JsonObject, picture: str) -> str:
         f"<li>{n} x <code>{html.escape(text)}</code></li>" for text, n in report["messages"].items()
     )
     name = html.escape(report["sweep"])
-    doubts = "".join(f"<p><b>Warning</b>: {html.escape(text)}</p>" for text in report["warnings"])
+    doubts = [f"{n} x {text}" for text, n in report["doubts"].items()] + report["warnings"]
+    told = "".join(f"<p><b>Warning</b>: {html.escape(text)}</p>" for text in doubts)
     return (
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{name}</title><style>"
         "body{font:15px/1.4 sans-serif;margin:2em;max-width:80em}table{border-collapse:collapse}"
@@ -125,7 +130,7 @@ def _page(report: JsonObject, picture: str) -> str:
         "td:first-child,th:first-child{text-align:left}svg{max-width:100%;height:auto}</style>"
         f"<h1>{name}</h1><p>{report['points']} points, {report['failed']} failed, "
         f"{report['seconds']:.1f} s. Axes: {html.escape(', '.join(report['axes']))}.</p>"
-        f"{doubts}<table><tr><th>metric<th>known<th>least<th>mean<th>largest</tr>"
+        f"{told}<table><tr><th>metric<th>known<th>least<th>mean<th>largest</tr>"
         f"{cells}</table>{'<h2>Failures</h2><ul>' + faults + '</ul>' if faults else ''}{picture}\n"
     )
 

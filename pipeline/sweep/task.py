@@ -155,7 +155,11 @@ def _look(course: Course, kept: Stages, point: _Point, frame: int, found: list[A
 def _draw_tile(kept: Stages, base: Base, g: Geometry, tile: Tile, living: list[_Point]) -> None:
     light: dict[str, Array] = {}
     if living and _shared(living, lambda: light.update(kept.light(base, g, tile))):
+        checked: list[JsonObject] = []
+        if "timing" in living[0].ready.measured.metrics:  # what it errs by beside what it takes
+            _shared(living, lambda: checked.extend(kept.checked(base, g, tile, light)))
         for point in living:
+            point.ready.measured.checked += checked
             _tried(point, partial(_noise, kept, point.ready, g, tile, light))
 
 
@@ -187,10 +191,8 @@ def _end(course: Course, point: _Point) -> Row:
         path = cube_path(Path(course.out), point.number)
         _tried(point, lambda: render(point.ready.scene, path, Options("synchronous", resume=True)))
     _tried(point, lambda: point.row.update(point.ready.measured.row()))
-    row = point.row | {
-        "status": "done" if point.fault is None else "failed",
-        "message": point.fault,
-    }
+    told = point.fault or (" ".join(point.ready.measured.doubts()) or None)
+    row = point.row | {"status": "done" if point.alive else "failed", "message": told}
     if "timing" in course.sweep.metrics:
         row |= {"seconds": point.seconds + point.shared_s, "light_s": point.shared_s}
     return row

@@ -104,7 +104,7 @@ def test_warnings_of_a_service_are_told_first(
     old = {"points": 2, "seconds": 1.0, "failed": 0, "metrics": {}, "messages": {}}
     for report, first in ((old | {"warnings": ["point 1: bright"]}, "WARNING:"), (old, "")):
         monkeypatch.setattr(command, "run_there", lambda *_, report=report: report)
-        command._there(tmp_path, tmp_path, "http://there", False, False, None)
+        command._there(tmp_path, tmp_path, [], "http://there", False, False)
         said = capsys.readouterr()
         assert (said.err + said.out).startswith(first or str(tmp_path))
 

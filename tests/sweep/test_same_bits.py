@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import fields
 from types import SimpleNamespace
 
@@ -9,6 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from pipeline.execute.tile import tile_light
 from pipeline.inputs.sensor.sensor import gather_sensor_maps
 from pipeline.plan.accuracy import INSTEAD
 from pipeline.plan.pointing.geometry import plan_geometry
@@ -20,6 +22,7 @@ from pipeline.sweep.dependence import NEUTRAL
 from pipeline.sweep.run import gather_course, point_scene, sweep
 from pipeline.sweep.stages import Stages, _read_key, maps_of, stages
 from pipeline.sweep.task import run_points
+from tests.command import nightglass
 from tests.slow import slow
 
 SPHERE = "targets.0.body.albedo"
@@ -59,7 +62,7 @@ def test_same_bits_as_each_point_alone(case, sweep_file, tmp_path):
 
 
 def test_what_a_point_may_err_by_stands_beside_its_time(sweep_file, tmp_path):
-    """As in the plan of its scene alone; more where more is allowed."""
+    """As in the plan of its scene alone, with what its product finds; more where it is allowed."""
     asked = [0.003, 0.3]
     path = sweep_file([{"field": "accuracy.noise_fraction", "values": asked}], metrics=["timing"])
     rows = rows_of(path, tmp_path / "swept")
@@ -68,7 +71,48 @@ def test_what_a_point_may_err_by_stands_beside_its_time(sweep_file, tmp_path):
         bounds = [d["error_bound_sigma"] for d in told if d["component"] not in INSTEAD]
         assert row["error_bound_sigma"] == pytest.approx(sum(b or 0.0 for b in bounds))
         assert 0.0 < row["error_bound_sigma"] <= most
+        scene = point_scene(path, row["point"])
+        alone = render(scene, tmp_path / str(most), Options("synchronous"))
+        found = alone["errors"]["achieved_error_sigma"]
+        assert row["achieved_error_sigma"] == pytest.approx(found, rel=1e-3)
+        assert 0.0 < found <= row["error_bound_sigma"]
     assert rows[1]["error_bound_sigma"] > 3.0 * rows[0]["error_bound_sigma"]
+
+
+@pytest.mark.parametrize("detector", [None, {"prnu": 0.01}], ids=["shared light", "own light"])
+def test_light_that_errs_by_more_than_was_stated_is_told(
+    detector, sweep_file, tmp_path, monkeypatch
+):
+    """In its rows, the report, the page and the terminal, with exit code 5; checked once for all
+    points that share it. Nothing is checked where nothing of it is told."""
+    axis = {"field": "sensor.read_noise_e", "values": [5.0, 9.0]}
+    more = {"sensor.detector": detector, "exposure.frames": 1}
+    path = sweep_file([axis], more, metrics=["timing"])
+
+    def drawn(*arguments):
+        light = tile_light(*arguments)
+        return {name: image * 1.01 for name, image in light.items()}
+
+    monkeypatch.setattr("pipeline.sweep.stages.tile_light", drawn)
+    kept = Stages(1e9)
+    monkeypatch.setattr("pipeline.sweep.task.stages", lambda run: kept)
+    out = tmp_path / "out"
+    done = nightglass("sweep", path, "-o", out, "--scheduler", "synchronous")
+    rows = pq.read_table(out / "points.parquet").to_pylist()
+    assert (done.returncode, [row["status"] for row in rows]) == (5, ["done", "done"])
+    for row in rows:
+        assert row["achieved_error_sigma"] > 2.0 * row["error_bound_sigma"]
+        assert f"err by {row['achieved_error_sigma']:.3g} of their noise" in row["message"]
+    report = json.loads((out / "report.json").read_text())
+    assert report["errors"] == {"as_stated": False, "doubted": 2}
+    assert sorted(report["doubts"]) == sorted({row["message"] for row in rows})
+    assert (report["failed"], report["messages"]) == (0, {})
+    assert "pixels were found to err" in " ".join(done.stdout.split())
+    assert "Warning</b>: " in (out / "summary.html").read_text()
+    assert kept.drawn["check"] == (1 if detector is None else 2)
+    less = sweep_file([axis], more, metrics=["background"])
+    assert nightglass("sweep", less, "-o", tmp_path / "less").returncode == 0
+    assert kept.drawn["check"] == (1 if detector is None else 2)
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ from pipeline.sweep import ledger, task
 from pipeline.sweep.metrics import Measurement, target_windows
 from pipeline.sweep.points import scene_of
 from pipeline.sweep.run import gather_course, point_scene, sweep
-from pipeline.sweep.summary import _failures, _spread, summarise
+from pipeline.sweep.summary import _messages, _spread, summarise
 from tests.command import nightglass
 from tests.service.conftest import SCENE as SMALL
 
@@ -497,18 +497,21 @@ def test_a_record_older_than_files_is_gone_on_with_where_there_are_none(tmp_path
 def test_the_summary_of_a_large_table_is_of_all_its_pieces(tmp_path):
     """Tables are read 65,536 rows at a time."""
     n = 70_000
-    table = pa.table({"message": ["bad"] * (n - 1) + [None], "x": np.arange(float(n))})
+    columns = {"message": ["bad"] * (n - 1) + [None], "status": ["failed"] * (n - 1) + ["done"]}
+    table = pa.table(columns | {"x": np.arange(float(n))})
     pq.write_table(table, tmp_path / "points.parquet")
     file = pq.ParquetFile(tmp_path / "points.parquet")
-    assert _failures(file) == {"failed": n - 1, "messages": {"bad": n - 1}}
+    nothing = {"errors": {"as_stated": True, "doubted": 0}, "doubts": {}}
+    assert _messages(file) == {"failed": n - 1, "messages": {"bad": n - 1}} | nothing
     told = {"known": n, "least": 0.0, "mean": (n - 1) / 2, "largest": n - 1.0}
     assert _spread(file, "x") == told
 
 
 def test_all_failures_count_though_not_all_their_messages_are_listed(tmp_path):
     texts = [f"fault {i}" for i in range(30) for _ in range(1 + (i < 5))]
-    pq.write_table(pa.table({"message": texts}), tmp_path / "points.parquet")
-    found = _failures(pq.ParquetFile(tmp_path / "points.parquet"))
+    rows = {"message": texts, "status": ["failed"] * len(texts)}
+    pq.write_table(pa.table(rows), tmp_path / "points.parquet")
+    found = _messages(pq.ParquetFile(tmp_path / "points.parquet"))
     assert found["failed"] == 35
     assert list(found["messages"].values()) == [2] * 5 + [1] * 15
 
