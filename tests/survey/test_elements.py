@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from pipeline.errors import BadInput
+from pipeline.physics.positions.orbit_bounds import semi_major_axis_m
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 from pipeline.spec.study import Synthetic
 from pipeline.spec.targets.population import Population
@@ -129,3 +131,27 @@ def test_made_up_objects() -> None:
     assert (made.regime == "HEO").mean() == pytest.approx(0.07, abs=0.01)
     other = synthetic_elements(wish.model_copy(update={"seed": 2}), EPOCH)
     assert (other.mean[:, 0:6] != made.mean[:, 0:6]).any(axis=1).all()
+
+
+def test_made_up_objects_are_where_real_ones_are() -> None:
+    """Low ones about six heights and five inclinations, the others by their periods."""
+    made = synthetic_elements(Synthetic(objects=20_000), EPOCH)
+    bstar, ecc, _, tilt, _, motion, _ = made.mean.T
+    low, high, long = bstar > 0.0, (bstar == 0.0) & (ecc < 0.1), ecc > 0.1
+    assert ((made.regime == "LEO") == low).all()
+    assert [low.mean(), long.mean()] == pytest.approx([0.8, 0.07], abs=0.01)
+    axis_km = semi_major_axis_m(motion) / 1e3
+    heights, edges = [500, 550, 780, 850, 1200, 1400], [300, 525, 665, 815, 1025, 1300, 1600]
+    of_each = np.histogram(axis_km[low] - 6378.0, edges)[0] / np.count_nonzero(low)
+    within = norm.cdf((np.array(edges) - np.array(heights)[:, None]) / 40.0)
+    assert of_each == pytest.approx(np.diff(within, axis=1).mean(axis=0), abs=0.015)
+    for middle in (53.0, 65.0, 74.0, 82.0, 98.0):
+        near = np.abs(np.degrees(tilt[low]) - middle) < 4.0
+        assert near.mean() == pytest.approx(0.2, abs=0.015)
+    turns_a_day = motion[high] * 1440.0 / (2.0 * np.pi)
+    for turns, share in ((2.0056, 5.0 / 13.0), (1.0027, 8.0 / 13.0)):
+        assert (np.abs(turns_a_day - turns) < 0.02).mean() == pytest.approx(share, abs=0.03)
+    assert 20_000.0 < axis_km[long].min() < 20_100.0
+    assert 26_900.0 < axis_km[long].max() < 27_000.0
+    assert [ecc[long].min(), ecc[long].max()] == pytest.approx([0.5, 0.7], rel=0.01)
+    assert ecc[~long].mean() == pytest.approx(0.002 * np.sqrt(np.pi / 2.0), rel=0.03)
