@@ -21,6 +21,7 @@ BLOCK_BYTES = 2880
 PIECE_BYTES = 4 << 20
 CARD_BYTES = 80
 MOST_HEADER_BLOCKS = 1000
+STANDARD = "FITS headers to the standard"
 # FITS standard 4.0, table 18: format and bytes of one element
 TYPES = {
     "L": "i1",
@@ -63,16 +64,19 @@ def read_fits(
     """
     stream = _Stream(path, bytes_of(path, zipped=zipped, md5=md5))
     header = _find_table(stream, where, layout.hdu)
-    columns = _columns(header, where)
+    try:
+        columns = _columns(header, where)
+        width, rows = int(header["NAXIS1"]), int(header["NAXIS2"])
+    except (KeyError, TypeError, ValueError) as error:  # a keyword that is absent, or no number
+        raise BadInput(where, str(error)[:80], STANDARD) from None
     chosen = choose(*_named(columns))
     twice = [n for n in chosen if sum(column.name == n for column in columns) > 1]
     if twice:
         raise BadInput(where, twice, "a table that has each of these columns once")
-    width, rows = int(header["NAXIS1"]), int(header["NAXIS2"])
-    shape = [(f"f{i}", c.dtype, (c.repeat,)) for i, c in enumerate(columns)]
-    dtype = np.dtype(shape)
-    if dtype.itemsize != width:
-        raise Damaged(str(path), f"its columns are {dtype.itemsize} bytes, its rows {width}")
+    used = sum(np.dtype(c.dtype).itemsize * c.repeat for c in columns)
+    if used != width:
+        raise Damaged(str(path), f"its columns are {used} bytes, its rows {width}")
+    dtype = np.dtype([(f"f{i}", c.dtype, (c.repeat,)) for i, c in enumerate(columns)])
     at_once = max(1, PIECE_BYTES // max(width, 1))
     wanted = [(i, c) for i, c in enumerate(columns) if c.name in chosen]
     for first in range(0, max(rows, 1), at_once):
@@ -154,8 +158,9 @@ def _keywords(header: bytes, where: str) -> JsonObject:
         values = {card.keyword: card.value for card in cards if card.keyword}
         axes = [f"NAXIS{i + 1}" for i in range(int(values.get("NAXIS", 0)))]
         lengths = {name: int(values[name]) for name in axes}
+        _data_bytes(values)
     except Exception as error:  # astropy's parser has many ways to fail
-        raise BadInput(where, str(error)[:80], "FITS headers to the standard") from None
+        raise BadInput(where, str(error)[:80], STANDARD) from None
     for name, length in lengths.items():
         if length < 0:
             raise BadInput(where, f"{name} = {length}", "axes of no negative length")
@@ -180,7 +185,7 @@ def _columns(header: JsonObject, where: str) -> list[Column]:
     for i in range(1, int(header["TFIELDS"]) + 1):
         name = str(header.get(f"TTYPE{i}", f"col{i}")).strip()
         form = str(header[f"TFORM{i}"]).strip()
-        found = re.match(r"(\d*)([A-Z])", form)
+        found = re.match(r"(\d{0,9})([A-Z])", form)
         if found is None or found.group(2) not in TYPES:
             raise BadInput(f"{where} {name}", form, "a TFORM of the FITS standard")
         repeat = int(found.group(1) or 1)
@@ -191,10 +196,15 @@ def _columns(header: JsonObject, where: str) -> list[Column]:
         elif kind == "X":
             repeat = -(-repeat // 8)
         null = header.get(f"TNULL{i}")
-        scale, zero = header.get(f"TSCAL{i}", 1), header.get(f"TZERO{i}", 0)
+        scale, zero = _number(header.get(f"TSCAL{i}", 1)), _number(header.get(f"TZERO{i}", 0))
         unit = str(header.get(f"TUNIT{i}", ""))
         columns.append(Column(name, dtype, repeat, null, scale, zero, unit))
     return columns
+
+
+def _number(value: object) -> float:
+    """A keyword's number, a whole one as it is; ValueError for a text."""
+    return value if isinstance(value, int) else float(str(value))
 
 
 def _values(stored: np.ndarray, column: Column, want: str, where: str) -> pa.Array:
@@ -212,7 +222,8 @@ def _values(stored: np.ndarray, column: Column, want: str, where: str) -> pa.Arr
 
 def _scaled(values: np.ndarray, column: Column) -> np.ndarray:
     """TSCAL x stored + TZERO, in integers where that is exact (FITS standard 4.0, table 19)."""
-    if values.dtype.kind in "iu" and float(column.zero).is_integer() and column.scale == 1:
+    whole = float(column.zero).is_integer() and abs(column.zero) <= 1 << 63 and column.scale == 1
+    if values.dtype.kind in "iu" and whole:
         if column.zero == 1 << 63:
             return values.view(np.uint64) ^ np.uint64(1 << 63)
         return values.astype(np.int64) + int(column.zero) if column.zero else values

@@ -165,6 +165,8 @@ def _ids(
     column = table[name]
     place = f"{where} {name}"
     if rule.rule == "integer":
+        if pa.types.is_boolean(column.type) or pa.types.is_temporal(column.type):
+            raise BadInput(place, str(column.type), "integers")
         ids = _integers(column, place, before)
     elif not (pa.types.is_string(column.type) or pa.types.is_large_string(column.type)):
         raise BadInput(place, str(column.type), "texts")
@@ -190,7 +192,7 @@ def _integers(column: pa.ChunkedArray, place: str, before: int) -> pa.ChunkedArr
         column = pc.if_else(pc.is_nan(column), None, column)
     try:
         return column.cast(pa.int64())
-    except pa.ArrowInvalid as error:
+    except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
         raise BadInput(place, str(error)[:120], "integers below 2**63") from None
 
 
@@ -222,7 +224,7 @@ def _position_ids(made: dict[str, pa.Array | pa.ChunkedArray]) -> pa.Array:
 
 
 def _hashed(text: str | None) -> int | None:
-    if text is None:
+    if text is None or not text.strip():  # a blank names no star
         return None
     digest = hashlib.blake2b(text.strip().encode(), digest_size=8).digest()
     return (int.from_bytes(digest, "big") >> 2) - (1 << 63)

@@ -32,7 +32,10 @@ def read_parquet(
     """
     try:
         with pq.ParquetFile(path, **READING) as file:
-            chosen = list(choose(file.schema_arrow.names, {}))
+            names = file.schema_arrow.names
+            chosen = list(choose(names, {}))
+            if twice := [name for name in chosen if names.count(name) > 1]:
+                raise BadInput(where, twice, "a table that has each of these columns once")
             if most_bytes is not None:
                 _refuse_large_pages(path, where, file.metadata, set(chosen), most_bytes)
             for batch in file.iter_batches(ROWS, columns=chosen, use_threads=False):

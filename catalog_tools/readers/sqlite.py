@@ -48,6 +48,8 @@ def _uri(path: Path) -> str:
 
 def _rows(base: sqlite3.Connection, where: str, query: str, choose: Choose) -> Iterator[pa.Table]:
     cursor = base.execute(query)
+    if cursor.description is None:
+        raise BadInput(f"{where} query", query, "a query that gives rows")
     names = [column[0] for column in cursor.description]
     chosen = choose(names, {})
     places = {name: names.index(name) for name in chosen}
@@ -61,11 +63,12 @@ def _rows(base: sqlite3.Connection, where: str, query: str, choose: Choose) -> I
 
 
 def _values(values: list[object], want: str, name: str, before: int, where: str) -> pa.Array:
-    kinds: tuple[type, ...]
-    kinds = {"integer": (int,), "number": (int, float), "text": (str,)}[want]
+    kinds: tuple[type, ...] = {"integer": (int,), "number": (int, float), "text": (str,)}[want]
     for row, value in enumerate(values, before + 1):
         if value is not None and not isinstance(value, kinds):
             allowed = {"integer": "integers", "number": "numbers", "text": "texts"}[want]
             raise BadInput(f"{where} {name} row {row}", value, allowed)
     kind = {"integer": pa.int64(), "number": pa.float64(), "text": pa.string()}[want]
+    if want == "number":  # Arrow takes no whole number that a double does not hold exactly
+        values = [None if value is None else float(value) for value in values]
     return pa.array(values, kind)

@@ -78,9 +78,7 @@ def _values(stored: ArrayLike, name: str, want: str, where: str) -> pa.Array:
         raise BadInput(f"{where} {name}", str(column.dtype), allowed)
     mask = np.ma.getmaskarray(column)
     if want == "text":
-        texts = (
-            None if absent else str(text) for text, absent in zip(column.data, mask, strict=True)
-        )
-        return pa.array(list(texts), pa.string())
+        texts = [str(text) or None for text in column.data]  # a blank is an absent one
+        return pa.array(texts, pa.string(), mask=mask)
     data = np.ascontiguousarray(column.data, column.dtype.newbyteorder("="))
     return pa.array(data, mask=mask)

@@ -227,6 +227,14 @@ def test_null_numbers_are_known_in_the_precision_of_the_column(tmp_path, kind):
     assert found == [9.5, None, pytest.approx(float(near), abs=1e-5)]
 
 
+def test_null_numbers_of_a_column_of_whole_numbers(tmp_path):
+    """And one with a fraction is none of them."""
+    form = load(tmp_path, EXAMPLE.replace('unit = "mag"', 'unit = "mag"\nnull = [99.0, 9.5]'))
+    columns = {"id": [1, 2, 3], "alpha": [0.0] * 3, "delta": [0.0] * 3, "mag": [9, 99, 10]}
+    found = apply(form, pa.table(columns), "here", 0)["phot_g_mean_mag"].to_pylist()
+    assert found == [9.0, None, 10.0]
+
+
 def test_ways_are_tried_in_order_and_colours_have_ranges(tmp_path):
     ways = """
 [[phot_bp_mean_mag]]

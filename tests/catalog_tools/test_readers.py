@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from star_rows import random_stars, write_csv
 
 from catalog_tools.columns import INCOMING, NAMES
-from catalog_tools.forms import Layout, load_form
+from catalog_tools.forms import IdRule, Layout, load_form
 from catalog_tools.readers import detect_form, kind_of, read_tables, text
 from catalog_tools.readers.fields import FieldTaker
 
@@ -237,6 +237,11 @@ def test_header_alone_is_no_row(tmp_path):
     assert read(tmp_path / "c.csv").num_rows == 0
 
 
+def test_blank_lines_alone_are_no_rows(tmp_path):
+    (tmp_path / "a.csv").write_text(",".join(NAMES) + "\n\n\n")
+    assert read(tmp_path / "a.csv").equals(INCOMING.empty_table())
+
+
 def test_gzip_members_and_zeros_follow_each_other(tmp_path):
     stars = random_stars(50, 8)
     data = write_csv(tmp_path / "a.csv", stars).read_bytes()
@@ -403,3 +408,50 @@ def test_votable_integers_that_stand_for_none(tmp_path):
     found = read(tmp_path / "a.xml").to_pydict()
     assert found["source_id"] == [7, None, 6]
     assert found["phot_g_mean_mag"] == [9.0, 8.0, None]
+
+
+BY_NAME = replace(DR2, source_id=IdRule("text", ("name",)))
+
+
+def test_ids_from_names_are_the_same_in_every_kind_of_file(tmp_path):
+    """A star without a name has no id, whether its name is absent or blank."""
+    values = {"name": ["HD 7", "", "x & y"], "ra": [1.0, 2.0, 3.0], "dec": [1.0, 2.0, 3.0]}
+    table = pa.table({**values, "phot_g_mean_mag": [9.0, 9.0, 9.0]})
+    rows = list(zip(*table.to_pydict().values(), strict=True))
+    lines = [",".join(table.column_names), *(",".join(map(str, row)) for row in rows)]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    Table(table.to_pydict()).write(tmp_path / "a.fits")
+    kinds = dict.fromkeys(table.column_names, "double") | {"name": 'char" arraysize="*'}
+    fields = "".join(f'<FIELD name="{name}" datatype="{kind}"/>' for name, kind in kinds.items())
+    cells = "".join("".join(f"<TD>{x}</TD>" for x in row).join(("<TR>", "</TR>")) for row in rows)
+    xml = VOTABLE.format(fields=fields, rows=cells.replace("&", "&amp;"))
+    (tmp_path / "a.vot").write_text(xml)
+    pq.write_table(table, tmp_path / "a.parquet")
+    with sqlite3.connect(tmp_path / "a.sqlite") as base:
+        base.execute("create table stars (name, ra, dec, phot_g_mean_mag)")
+        base.executemany("insert into stars values (?, ?, ?, ?)", rows)
+    base.close()
+    form = replace(BY_NAME, layout=Layout(query="select * from stars"))
+    ends = ("csv", "fits", "vot", "parquet", "sqlite")
+    found = [read(tmp_path / f"a.{end}", form) for end in ends]
+    assert found[0]["source_id"].is_valid().to_pylist() == [True, False, True]
+    assert all(other.equals(found[0]) for other in found)
+
+
+def test_stars_without_a_designation_in_votables_have_no_id(tmp_path):
+    kinds = dict.fromkeys(("ra", "dec", "phot_g_mean_mag"), "double")
+    kinds["designation"] = 'char" arraysize="*'
+    fields = "".join(f'<FIELD name="{name}" datatype="{kind}"/>' for name, kind in kinds.items())
+    rows = (f"<TR><TD>1</TD><TD>2</TD><TD>9</TD><TD>{x}</TD></TR>" for x in ("Gaia DR2 7", ""))
+    (tmp_path / "a.vot").write_text(VOTABLE.format(fields=fields, rows="".join(rows)))
+    form = replace(DR2, source_id=IdRule("trailing_integer", ("designation",)))
+    assert read(tmp_path / "a.vot", form)["source_id"].to_pylist() == [7, None]
+
+
+def test_whole_numbers_of_sqlite_in_columns_of_numbers(tmp_path):
+    """Also those that a double does not hold exactly."""
+    with sqlite3.connect(tmp_path / "a.sqlite") as base:
+        base.execute("create table stars (source_id, ra, dec, phot_g_mean_mag, parallax)")
+        base.execute("insert into stars values (1, 2, 3, 9, ?)", [2**60 + 1])
+    base.close()
+    assert read(tmp_path / "a.sqlite", IN_SQL)["parallax"].to_pylist() == [float(2**60)]

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import datetime as dt
+import errno
 import gzip
 import sqlite3
+import zlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -75,6 +79,7 @@ def check(path, message, form=None):
         (f"{HEAD},pm,ref_epoch\n1,2,3,4,5,2015.5\n".encode(), "one release"),
         (f"{HEAD},pm,teff_val\n1,2,3,4,5,6\n".encode(), "pm says gaia_dr3"),
         (f"{HEAD},designation,ref_epoch\n1,2,3,4,Gaia DR3 5,2015.5\n".encode(), "one release"),
+        (f"{HEAD}\n1,2\n3,4\n".encode(), "row 1: 2 fields 4 fields"),
     ],
 )
 def test_bad_files_are_refused_by_name(tmp_path, content, message):
@@ -130,6 +135,24 @@ def test_what_follows_a_gzip_stream_is_never_ignored(tmp_path, few, tail):
     path.write_bytes(path.read_bytes() + tail)
     with pytest.raises(Damaged, match=r"tail\.csv\.gz.*gzip stream"):
         read(path)
+
+
+def test_a_tail_long_enough_to_be_a_gzip_stream_is_told_from_one(tmp_path, few):
+    path = write_csv(tmp_path / "tail.csv.gz", few)
+    path.write_bytes(path.read_bytes() + b"no gzip stream" * 10)
+    with pytest.raises(Damaged, match="what follows its gzip stream is not another one"):
+        read(path)
+
+
+def test_all_that_a_cut_gzip_holds_is_read_before_it_is_damage(tmp_path, monkeypatch):
+    monkeypatch.setattr("catalog_tools.readers.bytes_in.MOST_BYTES", 50)
+    packed = gzip.compress(b"," * 100_000)[:-30]
+    (tmp_path / "cut.gz").write_bytes(packed)
+    pieces = []
+    with pytest.raises(Damaged, match="ends too early"):
+        pieces.extend(bytes_of(tmp_path / "cut.gz", zipped=True))
+    assert b"".join(pieces) == zlib.decompressobj(wbits=31).decompress(packed)
+    assert max(map(len, pieces)) <= 50
 
 
 @pytest.mark.parametrize("rest", ["nothing", "the file"])
@@ -204,6 +227,46 @@ def test_fits_extensions_of_any_size_before_the_table_are_passed_over(tmp_path, 
         assert read(tmp_path / name, DR2)["source_id"].equals(few["source_id"])
 
 
+@pytest.mark.parametrize(
+    ("card", "changed", "message"),
+    [
+        ("TFORM2  = 'D       '", "TFORM2  = 'Z       '", " ra: Z a TFORM of the FITS standard"),
+        ("TFORM2  = 'D       '", "TFORM2  = '9999999999D'", "9999999999D a TFORM of the FITS"),
+        ("TFORM2  = 'D       '", "TFORMX  = 'D       '", "'TFORM2' FITS headers to the standard"),
+        ("TFIELDS =", "TFIELDX =", "'TFIELDS' FITS headers to the standard"),
+        ("BITPIX  =", "BITPIXX =", "'BITPIX' FITS headers to the standard"),
+        ("NAXIS2  =", "NAXISX  =", "'NAXIS2' FITS headers to the standard"),
+        ("TTYPE4  = 'pmra    '", "TTYPE4  = 'pmdec   '", "each of these columns once"),
+        ("TTYPE2  = 'ra      '", "TTYPE2  = '\xe9       '", "FITS headers to the standard"),
+        ("COMMENT of 80 bytes", "TSCAL2  = 'x       '", ": 'x' FITS headers to the standard"),
+        ("COMMENT of 80 bytes", "TZERO1  = 1E300", "source_id row 1: 1e+300 integers"),
+        ("END", "COMMENT", "1000 blocks a FITS header that has an END"),
+    ],
+)
+def test_fits_headers_that_break_the_standard(tmp_path, few, card, changed, message):
+    from astropy.io import fits
+
+    table = fits.table_to_hdu(as_astropy(few, masked=False))
+    table.header["COMMENT"] = "of 80 bytes"
+    fits.HDUList([fits.PrimaryHDU(), table]).writeto(tmp_path / "a.fits")
+    content, place = (tmp_path / "a.fits").read_bytes(), max(len(card), len(changed))
+    old, new = (text.ljust(place).encode("latin-1") for text in (card, changed))
+    primary, header, stars = content[:2880], content[2880:5760], content[5760:]
+    assert old in header
+    blocks = b" " * 2880 * 1000 if card.startswith("END") else b""
+    (tmp_path / "a.fits").write_bytes(primary + header.replace(old, new, 1) + blocks + stars)
+    check(tmp_path / "a.fits", message, DR2)
+
+
+def test_fits_rows_that_are_not_as_wide_as_their_columns_are_damage(tmp_path, few):
+    as_astropy(few, masked=False).write(tmp_path / "a.fits")
+    content, width = (tmp_path / "a.fits").read_bytes(), b"NAXIS1  =                   "
+    assert width + b"52" in content
+    (tmp_path / "a.fits").write_bytes(content.replace(width + b"52", width + b"53"))
+    with pytest.raises(Damaged, match="its columns are 52 bytes, its rows 53"):
+        read(tmp_path / "a.fits")
+
+
 def test_wrong_types_of_columns(tmp_path, few):
     table = as_astropy(few, masked=False)
     table["source_id"] = 6.7e17 + table["source_id"].astype(float)
@@ -225,6 +288,35 @@ def test_wrong_types_of_columns(tmp_path, few):
         check(tmp_path / f"text.{suffix}", " ra", IN_SQL)
 
 
+def test_parquet_ids_that_are_no_integers(tmp_path, few):
+    date = dt.datetime(2026, 1, 2)
+    for values, message in (
+        (pa.array([2**63 + n for n in range(300)], pa.uint64()), "below 2**63"),
+        (pa.array([[n] for n in range(300)]), "list<element: int64> to int64"),
+        (pa.array([True] * 300), "bool integers"),
+        (pa.array([date] * 300), "timestamp[us] integers"),
+        (pa.array(["HD 7"] * 300), "'HD 7'"),
+    ):
+        pq.write_table(few.set_column(0, "source_id", values), tmp_path / "a.parquet")
+        check(tmp_path / "a.parquet", message, DR2)
+
+
+def test_a_column_that_a_parquet_file_has_twice(tmp_path, few):
+    pq.write_table(few.append_column("pmra", few["pmra"]), tmp_path / "a.parquet")
+    check(tmp_path / "a.parquet", "['pmra'] a table that has each of these columns once")
+
+
+@pytest.mark.parametrize("rule", ["text", "trailing_integer"])
+def test_numbers_where_the_form_reads_ids_from_texts(tmp_path, few, rule):
+    form = replace(DR2, source_id=IdRule(rule, ("source_id",)))
+    pq.write_table(few, tmp_path / "a.parquet")
+    as_astropy(few, masked=False).write(tmp_path / "a.fits")
+    write_votable(tmp_path / "a.vot", few)
+    check(tmp_path / "a.parquet", " source_id: int64 texts", form)
+    check(tmp_path / "a.fits", " source_id: 1>i8 texts", form)
+    check(tmp_path / "a.vot", " source_id: int64 texts", form)
+
+
 def test_small_whole_floats_are_ids(tmp_path, few):
     table = as_astropy(few, masked=False)
     table["source_id"] = table["source_id"].astype(float)
@@ -244,6 +336,7 @@ def test_sqlite_needs_a_query_that_only_reads(tmp_path, few):
         ("attach ':memory:' as x", "query"),
         ("select 1; select 2", "query"),
         ("select source_id, ra, dec from stars", "'phot_g_mean_mag'"),
+        ("-- of all stars", "a query that gives rows"),
     ):
         check(path, message, replace(DR2, layout=Layout(query=query)))
     layout = Layout(query="select * from stars", attach=(("other", "none.sqlite"),))
@@ -263,6 +356,21 @@ def test_no_such_file_and_a_folder(tmp_path):
         for path in (tmp_path / "none.csv", tmp_path):
             with pytest.raises(BadInput, match="can be read"):
                 call(path)
+
+
+def test_a_disk_that_fails_while_a_file_is_read(tmp_path, monkeypatch):
+    path = tmp_path / "a.csv"
+    path.write_text(f"{HEAD}\n1,2,3,4\n")
+    opened, whole = [], Path.open
+
+    def fails_later(self, *args, **options):
+        opened.append(self)
+        if len(opened) > 1:
+            raise OSError(errno.EIO, "Input/output error")
+        return whole(self, *args, **options)
+
+    monkeypatch.setattr(Path, "open", fails_later)
+    check(path, "a file that can be read (Input/output error)", DR2)
 
 
 def test_texts_without_digits_are_no_trailing_integers(tmp_path):
