@@ -104,7 +104,7 @@ def parse_footer(where: str, leaf: Leaf, footer: Bytes) -> pq.FileMetaData:
     """The metadata in a shard's last bytes; Damaged where it isn't what the manifest says."""
     try:  # a footer alone is a file without row groups' bytes
         metadata = pq.read_metadata(pa.BufferReader(pa.py_buffer(MAGIC + footer.tobytes())))
-    except pa.ArrowException as error:
+    except (pa.ArrowException, OSError) as error:
         raise Damaged(where, f"its footer cannot be read ({error})") from None
     if metadata.num_row_groups != leaf.row_group_count or metadata.num_rows != leaf.rows:
         raise Damaged(where, "its row groups are not those of the manifest")

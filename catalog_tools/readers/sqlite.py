@@ -70,5 +70,5 @@ def _values(values: list[object], want: str, name: str, before: int, where: str)
             raise BadInput(f"{where} {name} row {row}", value, allowed)
     kind = {"integer": pa.int64(), "number": pa.float64(), "text": pa.string()}[want]
     if want == "number":  # Arrow takes no whole number that a double does not hold exactly
-        values = [None if value is None else float(value) for value in values]
+        values = [float(v) if isinstance(v, int) else v for v in values]
     return pa.array(values, kind)

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ..catalogue import Catalogue, Leaf, RowGroup
-from ..columns import HEALPIX_COLUMN, HEALPIX_ORDER, NAMES, REQUIRED, STORED
+from ..columns import HEALPIX_COLUMN, HEALPIX_ORDER, NAMES, STORED
 from ..errors import Damaged, Incomplete
 from ..geometry.sphere import directions
 from ..ingest.judging import COLOURS, without_colour
@@ -133,8 +133,6 @@ def _check_rows(
     catalogue: Catalogue, index: int, leaf: Leaf, group: RowGroup, table: pa.Table
 ) -> list[str]:
     """What is wrong with the rows of a row group, each kind of problem once with its number."""
-    if absent := [name for name in REQUIRED if table[name].null_count]:
-        return [f"row group {group.row_group}: {absent[0]} is absent in some rows"]
     first = int(catalogue.first_row_groups[index])
     bounds = catalogue.row_group_table[first + group.row_group]
     columns = {name: table[name].to_numpy() for name in (HEALPIX_COLUMN, *NAMES)}

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import google_crc32c
 import numpy as np
 import pytest
 
-from catalog_tools.catalogue import LEAVES_NAME, MANIFEST_NAME, ROW_GROUPS_NAME, open_catalogue
+from catalog_tools.catalogue import (
+    LEAVES_NAME,
+    MANIFEST_NAME,
+    ROW_GROUPS_NAME,
+    _digest,
+    open_catalogue,
+)
+from catalog_tools.columns import STORED
 from catalog_tools.errors import BadInput, Damaged
 from catalog_tools.query.query import cone, read_leaf
 
@@ -92,6 +101,30 @@ def test_only_the_row_groups_read_are_proved(copy):
         read_leaf(copy, leaf)
 
 
+def test_rows_that_agree_with_their_checksums_but_not_with_parquet(copy):
+    """As a disk or a program could have made them, before the checksums were taken."""
+    leaf = max(copy.leaves, key=lambda leaf: leaf.rows)
+    group, at = leaf.row_groups[0], STORED.names.index("ra")
+    start = group.offset + sum(group.column_bytes[:at])
+    data = bytearray(path_of(copy, leaf).read_bytes())
+    data[start : start + 20] = bytes(20)
+    path_of(copy, leaf).write_bytes(data)
+    checksums = list(group.column_crc32c)
+    checksums[at] = google_crc32c.value(bytes(data[start : start + group.column_bytes[at]]))
+    agreeing = leaf._replace(row_groups=(group._replace(column_crc32c=tuple(checksums)),))
+    with pytest.raises(Damaged, match="cannot be read") as caught:
+        read_leaf(copy, agreeing, None, ["ra"])
+    assert caught.value.path == f"{copy.path}/{leaf.path}"
+
+
+def test_fewer_rows_in_a_shard_than_the_manifest_says(copy):
+    leaf = copy.leaves[0]
+    more = leaf.row_groups[0]._replace(rows=leaf.row_groups[0].rows + 3)
+    with pytest.raises(Damaged, match="another number of rows than the manifest") as caught:
+        read_leaf(copy, leaf._replace(row_groups=(more,)), None, ["ra"])
+    assert caught.value.path == f"{copy.path}/{leaf.path}"
+
+
 def test_manifest_round_trip(catalogue):
     again = open_catalogue(catalogue.path)
     assert (again.digest, again.rows, again.leaves) == (
@@ -110,6 +143,28 @@ def test_changed_manifest_is_damage(copy):
     path.write_text(path.read_text()[:-20])
     with pytest.raises(Damaged, match="JSON"):
         open_catalogue(copy.path)
+
+
+def test_a_folder_in_the_place_of_a_manifest_is_damage(copy):
+    path = Path(copy.path) / MANIFEST_NAME
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(Damaged, match=r"cannot be read \(.*Is a directory") as caught:
+        open_catalogue(copy.path)
+    assert caught.value.path == str(path)
+
+
+def test_a_table_of_other_columns_is_damage(copy):
+    """Its digest agrees: a program of another version could have written it so."""
+    np.save(Path(copy.path) / LEAVES_NAME, copy.leaf_table[["order", "pixel"]])
+    digest = hashlib.sha256((Path(copy.path) / LEAVES_NAME).read_bytes()).hexdigest()
+    path = Path(copy.path) / MANIFEST_NAME
+    document = json.loads(path.read_text())
+    document["catalogue"]["files"][LEAVES_NAME] = digest
+    path.write_text(json.dumps({**document, "sha256": _digest(document["catalogue"])}))
+    with pytest.raises(Damaged, match="holds other columns than this program's") as caught:
+        open_catalogue(copy.path)
+    assert caught.value.path == str(Path(copy.path) / LEAVES_NAME)
 
 
 @pytest.mark.parametrize("name", [LEAVES_NAME, ROW_GROUPS_NAME])

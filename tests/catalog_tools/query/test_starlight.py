@@ -151,6 +151,18 @@ def test_damage_is_found_and_named(made, tmp_path):
     assert sl.read_starlight(open_catalogue(other)) is None
 
 
+def test_a_folder_in_the_place_of_a_map(made, tmp_path):
+    shutil.copytree(made[0].path, tmp_path / "copy")
+    catalogue, place = open_catalogue(tmp_path / "copy"), tmp_path / "copy" / sl.STARLIGHT_NAME
+    place.unlink()
+    place.mkdir()
+    with pytest.raises(Damaged, match=r"starlight\.npz: .*: cannot be read \(.*Is a directory"):
+        sl.read_starlight(catalogue)
+    with pytest.raises(BadInput, match=r"a folder to write to \(.*Is a directory") as caught:
+        sl.make_starlight(catalogue)
+    assert caught.value.value == str(place.parent)
+
+
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG])
 def test_a_full_disk_is_said_as_one(made, monkeypatch, code):
     """A disk, a quota or the largest file there may be; the map that was there stays."""

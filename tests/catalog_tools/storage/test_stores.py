@@ -18,6 +18,7 @@ from catalog_tools.catalogue import MANIFEST_NAME, open_catalogue
 from catalog_tools.errors import BadInput, Damaged, Incomplete
 from catalog_tools.info import info
 from catalog_tools.query.query import cone, read_leaf
+from catalog_tools.query.starlight import read_starlight
 from catalog_tools.storage import stores
 from catalog_tools.storage.stores import joined, open_store, without_secrets
 from catalog_tools.verify.shards import check_shard
@@ -47,8 +48,7 @@ class Server:
             def do_GET(self):
                 wanted = self.headers.get("Range")
                 outer.asked.append((self.path, wanted))
-                if outer.failures:
-                    status = outer.failures.pop(0)
+                if outer.failures and (status := outer.failures.pop(0)) != 200:
                     if status == 0:
                         self.close_connection = True
                         return self.connection.close()
@@ -172,6 +172,34 @@ def test_refusals_are_told_at_once(server, quick):
     assert len(server.asked) == 1
     with pytest.raises(BadInput, match="holds no"):
         open_catalogue(server.url + "/nothing")
+
+
+@needs_http
+def test_refusals_after_the_manifest_are_told_alike(server, quick):
+    server.failures = [200, 403]
+    with pytest.raises(BadInput, match=r"can be read \(the server answers 403") as caught:
+        open_catalogue(server.url, field="stars.catalogue")
+    assert (caught.value.field, caught.value.value) == ("stars.catalogue", server.url)
+    other = open_catalogue(server.url)
+    server.failures = [403]
+    with pytest.raises(BadInput, match=r"can be read \(the server answers 403"):
+        read_starlight(other)
+
+
+def test_a_store_that_lists_nothing_cannot_be_verified(in_memory, monkeypatch):
+    other = open_catalogue(in_memory)
+
+    def refuse(self, path):
+        raise PermissionError(13, "no listing")
+
+    monkeypatch.setattr("fsspec.implementations.memory.MemoryFileSystem.find", refuse)
+    with pytest.raises(Incomplete, match=r"could not be listed \(permission denied: .*no listing"):
+        verify(other)
+
+
+def test_a_place_that_takes_no_connection():
+    with pytest.raises(BadInput, match=r"a place that can be read \(ConnectionRefusedError"):
+        open_catalogue("ftp://127.0.0.1:1/made")
 
 
 @needs_http

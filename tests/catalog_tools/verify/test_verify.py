@@ -29,6 +29,7 @@ from catalog_tools.errors import BadInput, Damaged
 from catalog_tools.ingest.ingest import ingest
 from catalog_tools.ingest.shards import write_shard
 from catalog_tools.query.query import cone
+from catalog_tools.query.starlight import make_starlight
 from catalog_tools.verify import distinct
 from catalog_tools.verify import shards as verify_shards
 from catalog_tools.verify.distinct import Distinct
@@ -411,3 +412,78 @@ def test_rows_of_a_row_group_are_told_beside_those_of_the_manifest(small, more):
     group = SimpleNamespace(row_group=0, rows=rows + more)
     with pytest.raises(Damaged, match=f"group 0 has {rows} rows; the manifest: {rows + more}$"):
         verify_shards._decode(data, pq.read_metadata(pa.BufferReader(data)), leaf, group)
+
+
+def test_rejected_rows_that_are_not_counted_so_are_named(tmp_path, small):
+    def change(folder, leaves, groups):
+        path = folder / REJECTS_NAME
+        pq.write_table(pq.read_table(path).slice(1), path)
+
+    (text,) = texts(rewritten(small, tmp_path / "changed", change))
+    assert text == f"{REJECTS_NAME}: its rows are not those that the manifest counts"
+
+
+def test_a_folder_in_the_place_of_a_shard_is_named(copy):
+    path = file_of(copy, copy.leaf(1).path)
+    path.unlink()
+    path.mkdir()
+    (text,) = texts(copy)
+    assert text.startswith(f"{copy.leaf(1).path}: cannot be read (")
+    assert "Is a directory" in text
+
+
+def agreeing(made, folder, leaf, at):
+    """A catalogue with a byte of a shard changed, and the checksums of the manifest with it."""
+
+    def change(folder, leaves, groups):
+        flip(folder / leaf.path, at)
+        data = (folder / leaf.path).read_bytes()
+        leaves["crc32c"][0] = google_crc32c.value(data)
+        leaves["footer_crc32c"][0] = google_crc32c.value(data[-leaf.footer_bytes :])
+        first = leaf.row_groups[0]
+        part = data[first.offset : first.offset + first.bytes]
+        groups["crc32c"][0] = google_crc32c.value(part)
+
+    return rewritten(made, folder, change)
+
+
+def test_pages_that_agree_with_the_manifest_alone_are_named(tmp_path, small):
+    leaf = small.leaf(0)
+    last = leaf.row_groups[0].offset + leaf.row_groups[0].bytes - 3
+    (text,) = texts(agreeing(small, tmp_path / "changed", leaf, last))
+    assert text.startswith(f"{leaf.path}: row group 0 cannot be read (")
+
+
+def test_a_footer_that_agrees_with_the_manifest_alone_is_named(tmp_path, small):
+    leaf = small.leaf(0)
+    (text,) = texts(agreeing(small, tmp_path / "changed", leaf, leaf.bytes - leaf.footer_bytes))
+    assert text.startswith(f"{leaf.path}: its footer cannot be read (")
+
+
+def test_repeated_source_ids_are_named_beside_damage(tmp_path, small):
+    """The shard that cannot be read is named once, and holds up no other."""
+
+    def change(folder, leaves, groups):
+        rows = columns_of(small, 4)
+        rows["source_id"][1] = rows["source_id"][2]
+        put_shard(folder, leaves, groups, 4, rows)
+
+    made = rewritten(small, tmp_path / "changed", change)
+    file_of(made, made.leaf(1).path).unlink()
+    missing, repeated = texts(made)
+    assert missing == f"{made.leaf(1).path}: the shard is missing"
+    assert repeated.startswith(f"{made.leaf(4).path}: source_id ")
+
+
+def test_a_star_without_a_magnitude_is_named_wherever_it_is_read(tmp_path, small):
+    def change(folder, leaves, groups):
+        rows = columns_of(small, 2)
+        rows["phot_g_mean_mag"][5] = np.inf
+        put_shard(folder, leaves, groups, 2, rows)
+
+    made = rewritten(small, tmp_path / "changed", change)
+    (text,) = texts(made)
+    assert text.endswith("1 rows outside the magnitude range that the manifest says")
+    with pytest.raises(Damaged, match="holds a star without a G magnitude") as caught:
+        make_starlight(made)
+    assert caught.value.path == str(file_of(made, small.leaf(2).path))
