@@ -17,6 +17,7 @@ from star_rows import random_stars, write_csv
 
 from catalog_tools.catalogue import MANIFEST_NAME, _digest, open_catalogue
 from catalog_tools.coverage import (
+    MOST_RANGES,
     Coverage,
     all_sky,
     coverage_of,
@@ -125,6 +126,19 @@ def test_each_sparse_pixel_covers_all_eight_around_it():
     counts = np.zeros(12 * 4**COUNT_ORDER, np.int64)
     counts[64 * 40_001 : 64 * 40_002] = 4
     assert of_rows(counts).sky_fraction == pytest.approx(100 / counts.size, rel=1e-12)
+
+
+def test_more_fields_than_may_be_listed_are_told_in_coarser_pixels():
+    """10,000 pixels far from each other, each with rows of its own: none is left out."""
+    counts = np.zeros(12 * 4**COUNT_ORDER, np.int64)
+    held = np.arange(10_000) * 300
+    counts[held] = 100
+    coverage = of_rows(counts)
+    assert len(coverage.ranges) <= MOST_RANGES
+    assert coverage.order < COUNT_ORDER
+    pixels = held >> (2 * (COUNT_ORDER - coverage.order))
+    first, end = coverage.ranges.T
+    assert (pixels < end[np.searchsorted(first, pixels, side="right") - 1]).all()
 
 
 def test_few_rows_tell_nothing():

@@ -23,7 +23,7 @@ from star_rows import random_stars, same_rows, write_csv
 from catalog_tools.catalogue import REJECTS_NAME, SOURCES_NAME, open_catalogue
 from catalog_tools.columns import HEALPIX_COLUMN, NAMES, STORED
 from catalog_tools.coverage import all_sky
-from catalog_tools.errors import BadInput, Damaged, Incomplete
+from catalog_tools.errors import BadInput, Damaged, DiskFull, Incomplete
 from catalog_tools.fetch.fetched import note_coverage
 from catalog_tools.forms import load_form
 from catalog_tools.info import info
@@ -476,6 +476,73 @@ def test_full_disk_is_told_as_incomplete(tmp_path, parts, monkeypatch):
             ingest(parts[1], tmp_path / "c", workers=1)
     assert not (tmp_path / "c").exists()
     assert ingest(parts[1], tmp_path / "c").continued == 1
+
+
+def test_a_disk_that_fails_is_told_with_what_is_kept(tmp_path, parts, monkeypatch):
+    def fails(*arguments, **named):
+        raise OSError(5, "Input/output error")
+
+    kept = "; what is finished is kept: run the same command again to go on"
+    for at, name, told in ((leaves, "write_shard", kept), (build, "_begin", "")):
+        with monkeypatch.context() as patch:
+            patch.setattr(at, name, fails)
+            with pytest.raises(Incomplete) as caught:
+                ingest(parts[1], tmp_path / "c", workers=1)
+        start = f"{tmp_path / 'c'}: could not be written ([Errno 5] Input/output error)"
+        assert str(caught.value) == start + told
+        assert left_behind(tmp_path) == ([".c.part"] if told else [])
+        shutil.rmtree(tmp_path / ".c.part", ignore_errors=True)
+
+
+def test_no_room_for_the_lock_of_a_catalogue_is_a_full_disk(tmp_path, parts, monkeypatch):
+    whole = Path.open
+
+    def full(self, *arguments, **named):
+        if self.name == ".c.lock":
+            raise OSError(28, "No space left on device")
+        return whole(self, *arguments, **named)
+
+    monkeypatch.setattr(Path, "open", full)
+    with pytest.raises(DiskFull, match="make room and run the same command again") as caught:
+        ingest(parts[1], tmp_path / "c", workers=1)
+    assert caught.value.store == str(tmp_path / "c")
+
+
+@pytest.mark.parametrize(("stage", "marker", "told"), [
+    ("read", "0*.json", "1 batches are not there; run it again"),
+    ("write", "leaf-*.json", "1 leaves are not there; run it again"),
+])  # fmt: skip
+def test_records_that_are_deleted_meanwhile_are_made_again(tmp_path, parts, stage, marker, told):
+    def meddle(now, done, total):
+        if now == stage and done == total:
+            min((tmp_path / ".c.part" / "progress").glob(marker)).unlink()
+
+    with pytest.raises(Incomplete, match=told):
+        ingest(parts[1], tmp_path / "c", progress=meddle, workers=1)
+    assert ingest(parts[1], tmp_path / "c", workers=1).catalogue.rows == 6000
+
+
+def test_files_without_rows_are_named_as_far_as_there_is_room(tmp_path):
+    for i in range(build.MOST_NAMED + 2):
+        (tmp_path / f"none{i:02d}.csv").write_text(HEAD + "\n" * (i + 1))
+    (tmp_path / "one.csv").write_text(f"{HEAD}\n1,10,20,12\n")
+    notes = ingest(sorted(tmp_path.iterdir()), tmp_path / "c", workers=1).notes
+    assert notes[0] == "none00.csv holds no row"
+    assert [note for note in notes if "more files" in note] == ["2 more files hold no row"]
+    assert sum(note.endswith(".csv holds no row") for note in notes) == build.MOST_NAMED
+
+
+@pytest.mark.parametrize("libc", [{}, {"renameat2": lambda *_: ctypes.set_errno(22) or -1}])
+def test_a_catalogue_that_cannot_be_exchanged_stays(tmp_path, parts, monkeypatch, libc):
+    """On a system, or a file system, that does not swap two folders."""
+    old = ingest(parts[1][:1], tmp_path / "c", workers=1).catalogue
+    with monkeypatch.context() as patch:
+        patch.setattr(publish.ctypes, "CDLL", lambda *_, **__: SimpleNamespace(**libc))
+        told = "Invalid argument" if libc else "this system can't swap folders; remove the old one"
+        with pytest.raises(Incomplete, match=f"could not be written .*{told}"):
+            ingest(parts[1], tmp_path / "c", overwrite=True, workers=1)
+    assert open_catalogue(tmp_path / "c").digest == old.digest
+    assert ingest(parts[1], tmp_path / "c", overwrite=True, workers=1).continued == 1
 
 
 def test_bad_sources(tmp_path, parts):

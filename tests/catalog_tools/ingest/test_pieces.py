@@ -7,6 +7,7 @@ import tracemalloc
 from itertools import combinations
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from star_rows import random_stars, same_rows, write_csv
@@ -68,7 +69,7 @@ def test_every_flipped_bit_is_noticed(tmp_path):
     path = tmp_path / "a.rows"
     whole = path.read_bytes()
     assert is_whole(tmp_path, piece)
-    for at in np.random.default_rng(2).integers(0, len(whole), 60).tolist():
+    for at in [*np.random.default_rng(2).integers(0, len(whole), 60).tolist(), len(whole) - 9]:
         flip(path, at)
         assert not is_whole(tmp_path, piece)
         path.write_bytes(whole)
@@ -141,6 +142,27 @@ def test_a_changed_count_is_told_and_mended(tmp_path, monkeypatch):
         with pytest.raises(Damaged, match=r"counts\.npy"):
             ingest([source], tmp_path / "c", workers=1)
     assert ingest([source], tmp_path / "c").catalogue.rows == 3000
+
+
+@pytest.mark.parametrize("name", ["rejects.arrow", "leaf-*.arrow"])
+def test_changed_rows_to_be_rejected_are_told_and_mended(tmp_path, monkeypatch, name):
+    """Those without a place, found while reading, and those that occur twice, while writing."""
+    stars = random_stars(300, 4)
+    source = write_csv(tmp_path / "stars.csv", pa.concat_tables([stars, stars.slice(0, 9)]))
+    source.write_text(source.read_text() + "7,,20,,,,,12,,\n")
+    real = build._write_rejects
+
+    def meddle(context, *rest):
+        path = min(context.work.progress.rglob(name))
+        flip(path, path.stat().st_size // 2)
+        return real(context, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "_write_rejects", meddle)
+        with pytest.raises(Damaged, match=r"\.arrow: damaged: .*run the same command again"):
+            ingest([source], tmp_path / "c", workers=1)
+    report = ingest([source], tmp_path / "c", workers=1)
+    assert (report.catalogue.rows, sum(report.rejected.values())) == (300, 10)
 
 
 class Slow:
