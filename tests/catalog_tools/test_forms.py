@@ -149,6 +149,13 @@ ASTROPY = {
 }  # fmt: skip
 
 
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="no file that opens but fails")
+def test_a_map_on_a_disk_that_fails_is_refused():
+    with pytest.raises(BadInput, match=r"a file that can be read \(Input/output error\)") as caught:
+        load_form("/proc/self/mem")
+    assert (caught.value.field, caught.value.value) == ("form", "/proc/self/mem")
+
+
 def test_units_against_astropy():
     for column, factors in UNITS.items():
         for name, factor in factors.items():

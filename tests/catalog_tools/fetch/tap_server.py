@@ -50,6 +50,7 @@ class TapBehaviour:
     sync_fails: int = 0
     job_fails: str = ""  # the message of every job's end
     cut_results: int = 0  # so many results end in the middle of the XML
+    busy_looks: int = 0  # so many looks at a job that runs are answered with 503
     first: list[tuple[int, dict[str, str]]] = field(default_factory=list)
 
 
@@ -105,7 +106,7 @@ class TapServer:
             rows = rows[: len(rows) - self.does.lost_rows]
         limit = min(int(form.get("MAXREC", 2_000)), self.does.most_rows)
         status = "OVERFLOW" if len(rows) > limit and self.does.tells_overflow else "OK"
-        return _votable(names, rows[:limit], status)
+        return votable(names, rows[:limit], status)
 
     def _inside(self, match: re.Match[str]) -> str:
         """1 or 0 for a row, as CONTAINS gives it; the geometry is done once for a circle."""
@@ -123,12 +124,12 @@ class TapServer:
         self._base.executemany(insert, [(i,) for i in ids])
 
 
-def _votable(names: list[str], rows: list[tuple], status: str) -> bytes:
+def votable(names: list[str], rows: list[tuple], status: str) -> bytes:
     table = Table()
     for i, name in enumerate(names):
         kind = INCOMING.field(name).type if name in INCOMING.names else None
         dtype = "f4" if kind == pa.float32() else "f8" if kind == pa.float64() else "i8"
-        dtype = "f8" if name == "ref_epoch" else dtype
+        dtype = "f8" if name == "ref_epoch" else "U8" if name == "name" else dtype
         absent = [row[i] is None for row in rows]
         values = np.array([0 if row[i] is None else row[i] for row in rows], dtype)
         table[name] = MaskedColumn(values, mask=absent)
@@ -207,6 +208,10 @@ class _Handler(BaseHTTPRequestHandler):
         job = self.tap.jobs[name]
         if result:
             self._send_result(self.tap.run(job.form))
+            return
+        if job.looks and self.tap.does.busy_looks:
+            self.tap.does.busy_looks -= 1
+            self._send(503, b"busy", "text/plain")
             return
         fault = self.tap.does.job_fails
         if job.phase != "PENDING":

@@ -18,9 +18,10 @@ import pytest
 from archive_server import ArchiveServer, md5sum_text, small_archive
 
 from catalog_tools.errors import BadInput, Damaged, Incomplete
+from catalog_tools.fetch import remote
 from catalog_tools.fetch.download import sizes_of
 from catalog_tools.fetch.fetch import fetch
-from catalog_tools.fetch.fetched import stated_coverage
+from catalog_tools.fetch.fetched import COVERAGE_NAME, FORMAT, stated_coverage
 from catalog_tools.fetch.layout import RELEASES
 from catalog_tools.fetch.ledger import folder_for
 from catalog_tools.fetch.patience import Patience, Unavailable
@@ -65,6 +66,22 @@ def test_the_folder_says_what_its_files_cover(archive, tmp_path, hasty):
     assert notes == ()
     assert stated_coverage(paths[1:])[0] is None
     assert stated_coverage([*paths, tmp_path / "own.csv"])[0] is None
+
+
+def test_a_whole_release_covers_the_whole_sky(archive, tmp_path, hasty, monkeypatch):
+    monkeypatch.setitem(RELEASES, "gaia-dr2", replace(RELEASES["gaia-dr2"], files=5))
+    bring(archive, tmp_path, hasty)
+    coverage, _ = stated_coverage([tmp_path / name for name in archive.files])
+    assert (coverage.source, coverage.sky_fraction) == ("the whole of Gaia DR2", 1.0)
+
+
+def test_what_another_program_says_of_coverage_is_not_taken(archive, tmp_path, hasty):
+    bring(archive, tmp_path, hasty)
+    paths, place = [tmp_path / name for name in archive.files], tmp_path / COVERAGE_NAME
+    place.write_text(place.read_text().replace(FORMAT, "another/1"))
+    assert stated_coverage(paths) == (None, ())
+    bring(archive, tmp_path, hasty)
+    assert stated_coverage(paths)[0] is not None
 
 
 def test_connections_cut_at_random_bytes(archive, tmp_path, hasty):
@@ -281,6 +298,34 @@ def test_missing_file_is_named_and_others_come(archive, tmp_path, hasty):
     assert bring(archive, tmp_path, hasty).downloaded == 1
 
 
+def test_a_pause_ends_where_another_file_ends_the_run(archive, tmp_path, hasty):
+    """One file is to be asked for in half a minute, another not any more: the first is not."""
+    waits, fails = sorted(archive.files)[:2]
+    archive.files = {name: archive.files[name] for name in (waits, fails)}
+    archive.md5sum = md5sum_text(archive.files)
+    archive.does.first[waits] = [(503, {"Retry-After": "30"})]
+    archive.does.first[fails] = [(503, {"Retry-After": "86400"})]
+    with pytest.raises(Incomplete, match=f"{fails}: the server asks to come back in 86400 s"):
+        bring(archive, tmp_path, hasty, connections=2)
+    assert len(archive.gets(waits)) <= 1
+
+
+def test_redirects_in_a_circle_are_followed_a_few_times(archive, tmp_path, hasty):
+    name = min(archive.files)
+    archive.does.first[name] = [(302, {"Location": archive.base_url + name})] * 20
+    with pytest.raises(Incomplete, match=f"{name}: Exceeded 5 redirects"):
+        bring(archive, tmp_path, hasty)
+    assert len(archive.gets(name)) == 6
+
+
+def test_a_part_that_does_not_say_which_it_is_is_not_taken(archive, tmp_path, hasty):
+    name = min(archive.files)
+    archive.does.first[name] = [(206, {})]
+    with pytest.raises(Incomplete, match=f"{name}: 206 Partial Content that does not say which"):
+        bring(archive, tmp_path, hasty)
+    assert name not in visible(tmp_path)
+
+
 def test_redirects_go_to_http_only(archive, tmp_path, hasty):
     name = min(archive.files)
     with ArchiveServer(archive.files) as mirror:
@@ -411,6 +456,56 @@ def test_folder_as_mirror(tmp_path, hasty):
     )
     assert visible(tmp_path / "to") == files
     assert report.bytes_downloaded == sum(map(len, files.values()))
+
+
+def mirror_of(files, folder):
+    """The files with their list in a folder; returns its address."""
+    folder.mkdir()
+    for name, data in {**files, "MD5SUM.txt": md5sum_text(files).encode()}.items():
+        (folder / name).write_bytes(data)
+    return folder.as_uri()
+
+
+@pytest.mark.parametrize(("more", "said"), [
+    (9, "the connection ended after {} of {} bytes"),
+    (-9, "the file changed while it was downloaded"),
+])  # fmt: skip
+def test_files_of_a_mirror_that_change_meanwhile(tmp_path, hasty, monkeypatch, more, said):
+    """One that shrinks, and one that grows, while they are read: left for another run."""
+    files = small_archive()
+    url, name = mirror_of(files, tmp_path / "mirror"), min(files)
+    size = len(files[name])
+
+    def fstat(number):
+        found = os.fstat(number)
+        other = SimpleNamespace(st_size=size + more, st_mtime_ns=found.st_mtime_ns)
+        return other if found.st_size == size else found
+
+    options = {"everything": True, "base_url": url, "patience": hasty, "connections": 1}
+    with monkeypatch.context() as patch:
+        patch.setattr(remote, "os", SimpleNamespace(fstat=fstat))
+        with pytest.raises(Incomplete, match=f"{name}: {said.format(size, size + more)}"):
+            fetch("gaia-dr2", tmp_path / "to", **options)
+    fetch("gaia-dr2", tmp_path / "to", **options)
+    assert visible(tmp_path / "to") == files
+
+
+def test_a_list_of_a_mirror_that_shrinks_while_it_is_read(tmp_path, hasty, monkeypatch):
+    url = mirror_of(small_archive(), tmp_path / "mirror")
+    size = (tmp_path / "mirror" / "MD5SUM.txt").stat().st_size
+    longer = SimpleNamespace(st_size=size + 9, st_mtime_ns=0)
+    monkeypatch.setattr(remote, "os", SimpleNamespace(fstat=lambda _: longer))
+    with pytest.raises(Incomplete, match=f"connection ended after {size} of {size + 9} bytes"):
+        fetch("gaia-dr2", tmp_path / "to", everything=True, base_url=url, patience=hasty)
+
+
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="no file that opens but fails")
+def test_a_mirror_whose_disk_fails_is_asked_again_and_given_up(tmp_path, hasty):
+    url = mirror_of(small_archive(), tmp_path / "mirror")
+    (tmp_path / "mirror" / "MD5SUM.txt").unlink()
+    (tmp_path / "mirror" / "MD5SUM.txt").symlink_to("/proc/self/mem")
+    with pytest.raises(Incomplete, match=r"MD5SUM\.txt: Input/output error \(3 tries in a row\)"):
+        fetch("gaia-dr2", tmp_path / "to", everything=True, base_url=url, patience=hasty)
 
 
 @pytest.mark.parametrize(

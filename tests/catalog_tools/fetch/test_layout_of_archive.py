@@ -204,6 +204,26 @@ def test_a_cone_brings_its_files(archive, tmp_path, hasty):
     assert "the limit had no effect" in report.notes[1]
 
 
+def test_a_cone_of_which_the_archive_lists_nothing_is_refused(archive, tmp_path, hasty):
+    """The files of the test's archive end with pixel 10**8, of 201 million."""
+    import healpy
+
+    ra, dec = healpy.pix2ang(4096, 150_000_000, nest=True, lonlat=True)
+    cone = f"{ra},{dec},0.05"
+    with pytest.raises(BadInput, match=r"a part of the sky of which http.* lists files") as caught:
+        fetch("gaia-dr2", tmp_path, cones=[cone], base_url=archive.base_url, patience=hasty)
+    assert (caught.value.field, len(caught.value.value)) == ("cone", 1)
+
+
+def test_a_list_longer_than_any_archives_is_refused(archive, tmp_path, hasty, monkeypatch):
+    monkeypatch.setattr("catalog_tools.fetch.fetch.MD5SUM_BYTES", 100)
+    with pytest.raises(BadInput, match=r"holds MD5SUM.txt \(more than 100 bytes\)") as caught:
+        fetch(
+            "gaia-dr2", tmp_path, everything=True, base_url=archive.base_url, patience=hasty
+        )  # fmt: skip
+    assert caught.value.field == "base_url"
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

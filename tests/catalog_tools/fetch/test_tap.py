@@ -15,11 +15,11 @@ import pyarrow.compute as pc
 import pytest
 from astropy.coordinates import SkyCoord
 from star_rows import random_stars, same_rows
-from tap_server import TapServer
+from tap_server import TapServer, votable
 
 from catalog_tools.coverage import coverage_of
-from catalog_tools.errors import BadInput, Incomplete
-from catalog_tools.fetch import tap
+from catalog_tools.errors import BadInput, Damaged, Incomplete
+from catalog_tools.fetch import tap, tap_service
 from catalog_tools.fetch.cones import FetchCone
 from catalog_tools.fetch.fetch import fetch
 from catalog_tools.fetch.layout import release_named
@@ -77,8 +77,6 @@ def test_rows_of_a_cone_come_exactly(service, sky, tmp_path, hasty):
 
 
 def test_large_results_come_by_jobs_that_are_removed(service, sky, tmp_path, hasty, monkeypatch):
-    from catalog_tools.fetch import tap_service
-
     monkeypatch.setattr(tap_service, "SYNC_ROWS", 100)
     report = ask(service, tmp_path, hasty)
     assert same_rows(read(tmp_path, report), expected(sky, CONE))
@@ -155,6 +153,60 @@ def test_refused_jobs_say_why(service, tmp_path, hasty):
     service.does.job_fails = ""
     with pytest.raises(Incomplete, match="no such table"):
         fetch("gaia-dr3", tmp_path / "3", cones=[CONE], tap_url=service.url, patience=hasty)
+
+
+def test_a_job_is_looked_at_again_as_long_as_patience_lasts(
+    service, sky, tmp_path, hasty, monkeypatch
+):
+    monkeypatch.setattr(tap_service, "SYNC_ROWS", 100)
+    service.does.busy_looks = hasty.tries - 1
+    report = ask(service, tmp_path / "few", hasty)
+    assert same_rows(read(tmp_path / "few", report), expected(sky, CONE))
+    assert len(service.jobs) == 1
+    service.does.busy_looks = 10**6
+    with pytest.raises(Incomplete, match="tries in a row"):
+        ask(service, tmp_path / "many", hasty)
+    assert service.deleted == len(service.jobs)
+
+
+def test_a_job_that_does_not_end_is_given_up_and_removed(service, tmp_path, hasty, monkeypatch):
+    monkeypatch.setattr(tap_service, "SYNC_ROWS", 100)
+    monkeypatch.setattr(tap_service, "LONGEST_JOB_S", -1.0)
+    with pytest.raises(Incomplete, match="a job did not end within"):
+        ask(service, tmp_path, hasty)
+    assert service.deleted == len(service.jobs) == 1
+
+
+@pytest.mark.parametrize(("names", "row", "said"), [
+    (["n", "m"], (1, 2), r"COUNT\(\*\) gave a table of \(1, 2\)"),
+    (["name"], ("many",), r"column 'name' as <U8, not numbers"),
+])  # fmt: skip
+def test_answers_that_are_no_count_are_not_believed(
+    service, tmp_path, hasty, monkeypatch, names, row, said
+):
+    monkeypatch.setattr(service, "run", lambda form: votable(names, [row], "OK"))
+    with pytest.raises(Incomplete, match=said):
+        ask(service, tmp_path, hasty)
+
+
+def test_a_cone_that_was_deleted_is_asked_for_again(service, sky, tmp_path, hasty):
+    (name,) = ask(service, tmp_path, hasty).files
+    (tmp_path / name).unlink()
+    report = ask(service, tmp_path, hasty)
+    assert (report.downloaded, report.present) == (1, 0)
+    assert same_rows(read(tmp_path, report), expected(sky, CONE))
+
+
+def test_a_file_that_lost_rows_on_its_way_to_the_disk_is_damage(
+    service, tmp_path, hasty, monkeypatch
+):
+    write = tap._write_rows
+    monkeypatch.setattr(tap, "_write_rows", lambda table, file: write(table.slice(1), file))
+    with pytest.raises(Damaged, match=r"it has (\d+) rows, (\d+) were written") as told:
+        ask(service, tmp_path, hasty)
+    held, written = map(int, re.findall(r"\d+ ?(?=rows|were)", told.value.reason))
+    assert held == written - 1
+    assert not list(tmp_path.glob("*.csv.gz"))
 
 
 def test_addresses_that_are_no_service(service, tmp_path, hasty):
