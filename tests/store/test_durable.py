@@ -13,9 +13,15 @@ import pyarrow as arrow
 import pytest
 from pyarrow import parquet
 
+from catalog_tools.errors import DiskFull
 from catalog_tools.fetch.ledger import FileLedger, write_whole
 from catalog_tools.ingest.ingest import ingest
-from catalog_tools.storage.durable import file_digest, whole_file, write_atomically
+from catalog_tools.storage.durable import (
+    file_digest,
+    full_disk_told,
+    whole_file,
+    write_atomically,
+)
 from pipeline.opened_product import TruthTables
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
@@ -187,3 +193,16 @@ def test_a_folder_may_have_a_colon_in_its_name(tmp_path, monkeypatch):
     with whole_file(folder / "stars.parquet") as own:
         parquet.write_table(arrow.table({"a": [1]}), own)
     assert TruthTables(folder)["stars"]["a"].to_pylist() == [1]
+
+
+def test_a_full_disk_within_another_store_is_told_of_the_whole(tmp_path: Path) -> None:
+    """A table of a product: what to do is said of the product."""
+    with (
+        pytest.raises(DiskFull) as caught,
+        full_disk_told(tmp_path, "make room and go on"),
+        full_disk_told(tmp_path / "table", "make the table again"),
+    ):
+        raise OSError(28, "No space left on device")
+    assert str(caught.value) == (
+        f"{tmp_path}: the disk is full (No space left on device); make room and go on"
+    )

@@ -8,6 +8,8 @@ import pytest
 
 from catalog_tools.storage import objects
 from catalog_tools.storage.objects import TOGETHER, Objects
+from catalog_tools.storage.stores import Unreachable
+from tests.object_store import needs_s3, s3_bucket
 
 
 @pytest.mark.parametrize("count", [0, 1, TOGETHER, TOGETHER + 1, 3 * TOGETHER + 7])
@@ -30,3 +32,16 @@ def test_every_object_of_many(count: int, monkeypatch: pytest.MonkeyPatch) -> No
     assert max(asked, default=0) <= TOGETHER
     Objects("s3://b/run").delete(names)
     assert gone == [f"b/run/{name}" for name in names]
+
+
+@needs_s3
+def test_a_store_that_refuses_is_told_by_its_url(monkeypatch: pytest.MonkeyPatch) -> None:
+    import s3fs
+
+    def refuse(self: object, *args: object, **options: object) -> None:
+        raise PermissionError(13, "Access Denied")
+
+    monkeypatch.setattr(s3fs.S3FileSystem, "pipe_file", refuse)
+    with s3_bucket("refusing") as url, pytest.raises(Unreachable) as caught:
+        Objects(f"{url}/run").put("a", b"1")
+    assert str(caught.value) == f"{url}/run: permission denied: [Errno 13] Access Denied"

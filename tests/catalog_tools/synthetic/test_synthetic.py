@@ -92,6 +92,12 @@ def test_same_bits_for_same_arguments(tmp_path, demo):
     assert other.catalogue.digest != demo.digest
 
 
+def test_same_bits_in_tables_of_any_size(tmp_path, demo, monkeypatch):
+    monkeypatch.setattr("catalog_tools.synthetic.synthetic.TABLE_ROWS", 500)
+    again = make_demo(tmp_path / "again", faintest_g_mag=8.0, deep_fields=[FIELD], workers=1)
+    assert again.catalogue.digest == demo.digest
+
+
 def _density(limit, lat_deg):
     """Mean modelled density over longitude, stars per deg2 brighter than `limit`."""
     lon, lat = np.radians(np.arange(0, 360, 5.0)), np.radians(lat_deg)

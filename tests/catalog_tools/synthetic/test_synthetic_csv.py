@@ -273,6 +273,17 @@ def test_same_bits_for_one_worker_and_after_a_kill(tmp_path, folder):
     assert whole == {path: path.read_bytes() for path in (cut, lost)}
 
 
+def test_a_note_that_a_kill_cut_off_counts_for_nothing(tmp_path):
+    """And the next one begins on a line of its own."""
+    first = write_csv_files(tmp_path / "a", 300, workers=1)
+    notes, (file,) = tmp_path / "a" / "_made.jsonl", (tmp_path / "a").glob("*.csv.gz")
+    whole, content = notes.read_text(), file.read_bytes()
+    notes.write_text(whole[:-40])
+    file.unlink()
+    assert write_csv_files(tmp_path / "a", 300, workers=1) == first
+    assert (notes.read_text(), file.read_bytes()) == (whole, content)
+
+
 def test_other_seed_other_stars(tmp_path, folder):
     write_csv_files(tmp_path / "a", 500, seed=3)
     write_csv_files(tmp_path / "b", 500, seed=4)
