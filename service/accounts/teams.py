@@ -9,7 +9,7 @@ from catalog_tools.documents import Arguments, JsonObject
 from service.accounts.auth import Caller
 from service.jobs.jobs import Job, JobStore, Phase
 from service.jobs.quotas import TeamLimits
-from service.jobs.submissions import Ask, run_pending, submit_many
+from service.jobs.submissions import Ask, run_pending
 from service.settings import Settings
 
 
@@ -92,20 +92,3 @@ class TeamStore:
         if isinstance(scene, dict):
             more.setdefault("pixel_frames", pixel_frames_of(scene))
         return Ask(name=name, scene=scene, body_sha256=body_sha256, key=key, **whose, **more)
-
-    def submit(
-        self,
-        name: str,
-        scene: JsonObject,
-        body_sha256: str,
-        key: str | None = None,
-        limit: int | None = None,
-        **more: Any,
-    ) -> tuple[Job, bool]:
-        """Queue a job (or, with phase=Phase.PENDING, only note it), in a commit of its own."""
-        limits = self._limits if limit is None else TeamLimits(queued_jobs=limit)
-        ask = self.ask(name, scene, body_sha256, key, **more)
-        [answer] = submit_many(self._store, [ask], limits)
-        if isinstance(answer, Exception):
-            raise answer
-        return answer

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import subprocess
 import sys
 import tarfile
@@ -106,6 +107,30 @@ def test_mistakes_come_by_field(client: Client, scene: dict[str, Any], tmp_path:
     assert gone.value.status == 0
     with pytest.raises(ServiceError, match="does not answer"):
         Client("http://127.0.0.1:9", patience_s=3600.0).catalogues()  # never met: not for an hour
+
+
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("http://[1::2::3]:80", "Invalid IPv6 address"),
+        ("http://h/\x7f", "non-printable ASCII character"),
+        ("http://" + "h" * 70_000, "URL too long"),
+    ],
+)
+def test_what_only_looks_like_an_address_is_refused(url: str, said: str) -> None:
+    with pytest.raises(BadInput, match="--server") as error:
+        Client(url)
+    assert (error.value.field, error.value.value) == ("--server", url)
+    assert error.value.allowed.startswith("an address; ")
+    assert said in error.value.allowed
+
+
+def test_a_refusal_survives_the_way_from_another_process() -> None:
+    """With all its mistakes and its status."""
+    refused = Refused([("seed", "-1", "0 or more"), ("name", "''", "a text")], 422)
+    again = pickle.loads(pickle.dumps(refused))
+    assert (again.mistakes, again.status, again.field) == (refused.mistakes, 422, "seed")
+    assert str(again) == str(refused)
 
 
 def test_what_the_server_cannot_read_is_an_error(client: Client) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import re
@@ -10,8 +11,9 @@ from pathlib import Path
 import pytest
 import uvicorn
 
+from pipeline.errors import DiskFull
 from service import logs, main
-from service.settings import unknown_variables
+from service.settings import Settings, unknown_variables
 
 ROOT = Path(__file__).parents[2]
 NAMED = re.compile(r"NIGHTGLASS_[A-Z][A-Z_]*[A-Z]")
@@ -57,3 +59,16 @@ def test_an_unknown_level_of_logs_is_told(
     finally:
         root.handlers[:], root.level, ours.level = before[0], before[1], before[2]
         logging.captureWarnings(False)
+
+
+def test_no_room_for_the_data_folder_is_a_full_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "mkdir", full)
+    with pytest.raises(DiskFull) as error:
+        Settings(tmp_path / "home").make_folders()
+    place = f"{tmp_path / 'home'}: the disk is full (No space left on device); "
+    assert str(error.value) == place + "make room, then start again"

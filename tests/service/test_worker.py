@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from service.engine import processes
+from service.problems import EngineFault
 from service.settings import Settings
 
 WATCHED = """
@@ -53,3 +55,45 @@ def test_an_engine_that_cannot_be_loaded_is_told_by_the_worker(
     assert forks._process.poll() is None
     forks._process.kill()
     forks._process.wait()
+
+
+@pytest.fixture
+def forks(monkeypatch: pytest.MonkeyPatch) -> Iterator[processes.Forks]:
+    """What forks workers, of the test's own."""
+    monkeypatch.setattr(processes, "_forks", forks := processes.Forks())
+    yield forks
+    if forks._process is not None:
+        forks._process.kill()
+        forks._process.wait()
+
+
+def test_what_forks_workers_is_begun_again_where_it_died(
+    tmp_path: Path, forks: processes.Forks
+) -> None:
+    settings, asked = Settings(tmp_path), []
+    settings.make_folders()
+    for _ in range(2):
+        with processes.worker(settings, {"do": "judge", "scene": {}}) as answers:
+            answer = answers.get(timeout=60)
+        assert answer is not None
+        assert answer["error"]["kind"] == "bad input"
+        assert forks._process is not None
+        asked.append(forks._process.pid)
+        forks._process.kill()
+        forks._process.wait()
+    assert asked[0] != asked[1]
+
+
+def test_an_engine_that_cannot_be_started_is_the_services_fault(
+    tmp_path: Path, forks: processes.Forks, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "none"))
+    held = []
+    for _ in range(3):
+        with (
+            pytest.raises(EngineFault, match="the engine could not be started"),
+            processes.worker(Settings(tmp_path), {"do": "judge", "scene": {}}),
+        ):
+            pass
+        held.append(len(os.listdir("/proc/self/fd")))  # noqa: PTH208
+    assert held[1] == held[2]  # nothing stays open

@@ -45,6 +45,18 @@ def test_the_same_bytes_are_judged_once(tmp_path: Path, scene: dict[str, Any]) -
     assert kept.reused == 1
 
 
+def test_the_same_bytes_at_once_are_kept_once(tmp_path: Path, scene: dict[str, Any]) -> None:
+    """And what they take of the memory is counted once."""
+    one, both = (Acceptance(settings_of(tmp_path)) for _ in range(2))
+    alone, body = read(one, scene), json.dumps(scene).encode()
+
+    async def twice() -> list[Any]:
+        return await asyncio.gather(*(both.read("a", body, nothing) for _ in range(2)))
+
+    assert [found.body_sha256 for found in asyncio.run(twice())] == [alone.body_sha256] * 2
+    assert (both.reused, both.kept_bytes) == (0, one.kept_bytes)
+
+
 def test_what_a_scene_names_is_looked_for_every_time(
     tmp_path: Path, scene: dict[str, Any]
 ) -> None:

@@ -140,6 +140,21 @@ def test_a_product_may_not_be_too_large(tmp_path: Path, scene: dict[str, Any]) -
         assert (told["pointer"], str(most) in told["allowed"]) == ("/output/layers", True)
 
 
+def test_a_sky_that_cannot_be_judged_is_left_to_the_engine(
+    tmp_path: Path,
+    scene: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """A fault of the service's own refuses nobody's scene; it is on the log."""
+    monkeypatch.setattr("pipeline.route.judge.judge", lambda _: 1 / 0)
+    found = accept_scene(scene, Settings(tmp_path))
+    assert found.name == scene["name"]
+    (record,) = caplog.records
+    assert record.getMessage() == "a scene could not be judged; it is taken"
+    assert "ZeroDivisionError" in str(record.exc_info)
+
+
 def test_pointers() -> None:
     assert pointer("sensor.shape.0") == "/sensor/shape/0"
     assert pointer("stars.catalogue[1]") == "/stars/catalogue/1"
