@@ -79,6 +79,17 @@ def test_fetch_goes_on_and_proves(client: Client, finished: str, tmp_path: Path)
     assert (other / "mine.txt").read_text() == "keep me"
 
 
+def test_a_product_of_other_content_than_the_jobs_is_not_kept_as_whole(
+    client: Client, finished: str, tmp_path: Path
+) -> None:
+    job, folder = client.job(finished.rpartition("/")[2]), tmp_path / "product"
+    job.facts["content_digest"] = "0" * 64
+    with pytest.raises(Damaged, match="the content differs from what the job made") as error:
+        job.fetch(folder)
+    assert error.value.path == str(folder)
+    assert not (folder / "_COMPLETE").exists()
+
+
 def test_the_tar_is_a_product(server: Any, finished: str, tmp_path: Path) -> None:
     answer = server.client.get(f"{finished}/product.tar")
     assert int(answer.headers["content-length"]) == len(answer.content)

@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from schemathesis import GenerationMode
 
+from pipeline.spec.json_schemas import json_schema
 from service.openapi import SCENE
 from tests.service.drawn import (
     CATALOGUE,
@@ -40,6 +41,13 @@ def test_the_example_is_accepted(server: Any) -> None:
     made = server.client.post("/v1/jobs", json=SCENE)
     assert made.status_code == 202
     assert server.client.delete(made.headers["location"]).status_code == 204
+
+
+@pytest.mark.parametrize("of", ["scene", "sweep", "study"])
+def test_schemas_are_those_that_the_command_prints(server: Any, of: str) -> None:
+    answer = server.client.get(f"/v1/schema/{of}")
+    assert answer.headers["content-type"] == "application/schema+json"
+    assert answer.json() == json_schema(of)
 
 
 def test_the_document_holds_every_v1_route(server: Any) -> None:

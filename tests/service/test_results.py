@@ -18,6 +18,7 @@ from astropy.io import fits
 from PIL import Image
 from starlette.requests import Request
 
+from pipeline.errors import Damaged
 from pipeline.export.formats import ExportRequest, export_product
 from pipeline.route.shares import parse_part
 from pipeline.spec.load import parse_scene
@@ -184,6 +185,18 @@ def test_oblong_tiles_are_those_of_their_row_and_column(tmp_path: Path) -> None:
     for outside in ((2, 0, 0), (0, 2, 0), (0, 0, 4), (0, -1, 0)):
         with pytest.raises(NotThere):
             tile_values(tmp_path, *outside)
+
+
+def test_a_tile_that_cannot_be_read_is_damage(tmp_path: Path) -> None:
+    """Named by its layer and frame; the others are shown."""
+    dn = np.arange(2 * 4 * 4, dtype=np.uint16).reshape(2, 4, 4)
+    zarr.create_array(store=tmp_path / "cube.zarr" / "dn", data=dn, chunks=(1, 4, 4))
+    (tmp_path / "_COMPLETE").write_text("{}")
+    (tmp_path / "cube.zarr" / "dn" / "c" / "1" / "0" / "0").write_bytes(b"no chunk")
+    with pytest.raises(Damaged, match="frame 1: ") as error:
+        tile_values(tmp_path, 1, 0, 0)
+    assert error.value.path == "cube.zarr/dn"
+    assert np.array_equal(tile_values(tmp_path, 0, 0, 0), dn[0])
 
 
 @pytest.mark.parametrize("stretch", ["asinh", "linear", "log"])

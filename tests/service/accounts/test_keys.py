@@ -13,10 +13,12 @@ import socket
 import stat
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -576,6 +578,39 @@ def test_a_provider_that_speaks_no_http(provider: tuple[dict[str, Any], Path]) -
         connection.close()
         with pytest.raises(NoProvider):
             told.result(10)
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_keys_are_read_where_they_are_and_nowhere_else(
+    provider: tuple[dict[str, Any], Path], moved: bool
+) -> None:
+    """A provider that sends elsewhere is not followed: it could lead inside this network."""
+    private, published = provider
+    asked = []
+
+    class Provider(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            asked.append(self.path)
+            elsewhere = moved and self.path == "/jwks"
+            self.send_response(302 if elsewhere else 200)
+            self.send_header("Location", "/elsewhere")
+            self.end_headers()
+            self.wfile.write(b"" if elsewhere else published.read_bytes())
+
+        def log_message(self, *_: Any) -> None:
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Provider) as http:
+        threading.Thread(target=http.serve_forever, args=(0.02,), daemon=True).start()
+        place = f"http://127.0.0.1:{http.server_port}/jwks"
+        verifier = Verifier(ISSUER, AUDIENCE, place, "team")
+        if moved:
+            with pytest.raises(NoProvider):
+                verifier.verify(signed(private))
+        else:
+            assert verifier.verify(signed(private)) == ("red", "oidc:ann")
+        http.shutdown()
+    assert set(asked) == {"/jwks"}
 
 
 def test_a_provider_that_is_silent_holds_up_no_key(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from hypothesis import given, settings
@@ -16,8 +18,9 @@ from pipeline.errors import BadInput, Damaged
 from service.accounts.teams import pixel_frames_of
 from service.engine.attempts import Attempt
 from service.engine.cluster import SchedulerHealth
+from service.jobs import submissions
 from service.jobs.jobs import FINAL, NEXT, Job, Phase, Queue
-from service.jobs.submissions import Ask, TeamLimits, submit_many
+from service.jobs.submissions import Ask, Intake, TeamLimits, submit_many
 from service.jobs.views import job_dict
 from service.problems import KeyReused, NotReady, NotThere, QueueFull
 from service.settings import Settings
@@ -310,3 +313,23 @@ def test_pixels_of_dwells_with_frames_of_their_own() -> None:
     assert pixel_frames_of(scene) == 5 * 600
     assert pixel_frames_of(scene | {"dwells": [{"frames": 3}, {}]}) == 8 * 600
     assert pixel_frames_of({"sensor": {}}) == 0
+
+
+def test_jobs_that_the_table_does_not_take_are_refused_and_the_next_taken(
+    store: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As long as its disk fails: each of those who wait is told so, and none waits for ever."""
+    intake = Intake(store, TeamLimits())
+    intake.start()
+
+    async def put(count: int) -> list[Any]:
+        asks = (intake.put(Ask("n", {"a": 1}, "b")) for _ in range(count))
+        return await asyncio.wait_for(asyncio.gather(*asks, return_exceptions=True), 30)
+
+    with monkeypatch.context() as patch:
+        fault = OSError(5, "Input/output error")
+        patch.setattr(submissions, "submit_many", Mock(side_effect=fault))
+        assert asyncio.run(put(3)) == [fault] * 3
+    [(job, new)] = asyncio.run(put(1))
+    intake.stop()
+    assert (job.phase, new, store.get(job.id).name) == (Phase.QUEUED, True, "n")
