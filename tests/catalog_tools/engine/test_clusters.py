@@ -482,6 +482,20 @@ def test_slurm_without_settings_names_the_file_that_has_them(with_slurm):
     assert "\n" not in str(error.value)
 
 
+def test_slurm_with_settings_that_cannot_be_used_says_why(with_slurm):
+    """A network that the machine does not have."""
+    with_slurm()
+    with (
+        dask.config.set({"jobqueue.slurm": slurm_settings(interface="none0")}),
+        pytest.raises(BadInput, match="none0") as error,
+        open_scheduler("slurm", 1),
+    ):
+        pass
+    assert (error.value.field, error.value.value) == ("--scheduler", "slurm")
+    assert error.value.allowed.startswith("settings in jobqueue.slurm of Dask's configuration; ")
+    assert "\n" not in str(error.value)
+
+
 PENDING = "#!/bin/sh\necho 7 'PENDING (PartitionDown)'\n"
 SUBMITS = "#!/bin/sh\ntouch {folder}/submitted\necho Submitted batch job 7\n"
 
