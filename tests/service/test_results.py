@@ -23,8 +23,9 @@ from pipeline.export.formats import ExportRequest, export_product
 from pipeline.route.shares import parse_part
 from pipeline.spec.load import parse_scene
 from pipeline.store.cube import open_cube
+from service.engine.attempts import bytes_of
 from service.problems import NotReady, NotThere
-from service.products.files import open_inside, serve_file
+from service.products.files import list_files, open_inside, serve_file
 from service.products.pixels import frame_facts, tile_picture, tile_values, truth_of
 
 
@@ -172,6 +173,25 @@ def test_tiles_are_told_and_shown_as_they_are_drawn(scene: dict[str, Any], tmp_p
         else:
             with pytest.raises(NotReady):
                 tile_values(tmp_path / "run", 0, row, column)
+
+
+def test_files_that_go_while_they_are_counted_are_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A job that is being deleted: its files are listed, and weighed, as far as there are any."""
+    for name in ("gone", "kept"):
+        (tmp_path / name).write_bytes(b"12345")
+    lstat = Path.lstat
+
+    def late(self: Path) -> os.stat_result:
+        if self.name == "gone":
+            self.unlink(missing_ok=True)
+        return lstat(self)
+
+    monkeypatch.setattr(Path, "lstat", late)
+    assert list_files(tmp_path) == [("kept", 5)]
+    (tmp_path / "gone").write_bytes(b"12345")
+    assert bytes_of(tmp_path) == 5
 
 
 def test_oblong_tiles_are_those_of_their_row_and_column(tmp_path: Path) -> None:
