@@ -173,7 +173,8 @@ def _prove(job: Fetched, folder: Path, seal: bytes) -> None:
     faults = list(verdict.faults)
     wanted = job.facts.get("content_digest")
     if not faults and wanted and content_digest(folder) != wanted:
-        faults = ["the content differs from what the job made"]
+        shutil.rmtree(folder)  # which of its files differ is not known
+        raise Damaged(str(folder), "the content differs from what the job made; fetch it again")
     if not verdict.whole or faults:
         complete.unlink()
         for fault in faults:
