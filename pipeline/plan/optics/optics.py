@@ -236,8 +236,8 @@ def check_scale(kind: str, blur: Blur) -> None:
             return
     raise BadInput(
         "sensor.psf",
-        f"{kind} of a scale (Q = lambda F / (D pitch), or FWHM) of {q:.3g} px and a core of "
-        f"{core:.3g} px",
+        f"{kind} of a scale (Q = lambda F / (D pitch), or FWHM) of {q:.4g} px and a core of "
+        f"{core:.4g} px",
         f"{SMALLEST_Q} px to {LARGEST_Q:g} px, a core of at most {most:.4g} px: another pitch, "
         "focal length or wavelength, weaker aberrations, or a gaussian",
     )
