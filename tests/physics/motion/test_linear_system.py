@@ -112,6 +112,31 @@ def test_limits_no_stationary_state_and_no_step() -> None:
     assert not discretise(*chain(), 0.0).noise.any()
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_an_integrator_among_mixed_states_never_settles(seed: int) -> None:
+    """Its eigenvalue rounds to either side of 0; a state that decays in its place settles."""
+    rng = np.random.default_rng(seed)
+    v, b = np.eye(3) + 0.5 * rng.standard_normal((3, 3)), rng.standard_normal((3, 1))
+    found = []
+    for slowest in (0.0, -1e-9):
+        a = v @ np.diag([slowest, -1.0, -3.0]) @ np.linalg.inv(v)
+        found.append(stationary_covariance(a, b))
+    assert found[0] is None
+    strength = np.linalg.solve(v, b)[0, 0]
+    slow = np.linalg.solve(v, np.linalg.solve(v, found[1]).T)[0, 0]
+    assert slow == pytest.approx(0.5e9 * strength**2, rel=1e-3)
+
+
+@pytest.mark.parametrize("steps", [2, 4, 8])
+def test_a_row_of_equal_delays_settles(steps: int) -> None:
+    """Multiple eigenvalues, whose vectors are no basis."""
+    a = -3.0 * (np.eye(steps) - np.eye(steps, k=-1))
+    b = np.eye(steps, 1)
+    found = stationary_covariance(a, b)
+    assert found is not None
+    assert np.allclose(found, solve_continuous_lyapunov(a, -b @ b.T), rtol=1e-9)
+
+
 @given(st.floats(1e-6, 1e4), st.floats(0.01, 0.99), st.floats(-3, 3), st.floats(0.001, 3.0))
 def test_two_steps_are_one(total_s: float, share: float, decades: float, damping: float) -> None:
     a, b = oscillator(10.0**decades, damping)
