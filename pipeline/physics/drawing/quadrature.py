@@ -31,7 +31,7 @@ PANELS = 4.0  # to the scale of the optics
 BLOCK = 4  # panels that are blurred together
 NARROW, HERMITE = 0.02, 7  # of the optics' scale: a blur whose mean is that of few places
 BLUR_SIGMA = 9.0  # a Gaussian blur reaches so far
-FEWEST, MOST, MORE = 6, 64, 4  # nodes across a pixel, and how many more are tried next
+FEWEST, MOST, MORE = 6, 1024, 4  # nodes across a pixel, and how many more are tried next
 CONVERGED = 1e-12
 PLACES_PX = ((0.0, 0.0), (0.5, 0.5), (1.3, 0.6), (2.7, 3.4))  # where pixels must converge
 FAR_NODES, FAR_WIDTH_PX = 10, 0.5  # of pixels beyond NEAR_PX, and of their panels: of seeing
@@ -153,7 +153,7 @@ def nodes_of(blur: Blur) -> int:
     """Nodes across a pixel from which on more of them change nothing."""
     n, before = FEWEST, _pixels(blur, PLACES_PX, FEWEST)
     while n < MOST:
-        n += MORE
+        n += max(MORE, n // 16)
         now = _pixels(blur, PLACES_PX, n)
         if (np.abs(now - before) <= CONVERGED * now + FAINTEST).all():
             return n

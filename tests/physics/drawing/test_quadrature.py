@@ -55,6 +55,19 @@ def test_pixels_at_rest(optics: object, intensity: Callable) -> None:
         assert seen[row, column] == pytest.approx(exact, rel=RELATIVE)
 
 
+@pytest.mark.parametrize(("fwhm_px", "beta"), [(0.1, 1.5), (0.05, 3.0)])
+def test_light_far_narrower_than_a_pixel(fwhm_px: float, beta: float) -> None:
+    """In the middle of its pixel: by the share of the light within each direction's edge."""
+    wide = 0.5 * fwhm_px / (2.0 ** (1.0 / beta) - 1.0) ** 0.5
+
+    def within(angle: float) -> float:
+        return 1.0 - (1.0 + (0.5 / math.cos(angle) / wide) ** 2) ** (1.0 - beta)
+
+    seen = draw_quadrature(Blur(Moffat(fwhm_px, beta)), POINT, (5, 5), (0, 0), 2.0, 2.0)
+    exact = quad(within, 0.0, math.pi / 4, epsabs=1e-14)[0] * 4.0 / math.pi
+    assert seen[2, 2] == pytest.approx(exact, rel=RELATIVE)
+
+
 @pytest.mark.parametrize("y", [2.3, 61.1])
 @pytest.mark.parametrize("x", [1.9, 60.8])
 def test_the_corner_farthest_from_a_source_has_its_light(y: float, x: float) -> None:
