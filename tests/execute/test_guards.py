@@ -82,6 +82,27 @@ def test_light_that_is_lost_or_made_is_seen(plan, factor, monkeypatch):
         render(plan, stars())
 
 
+def test_an_engine_that_makes_no_number_names_the_layer(plan, monkeypatch):
+    """Whatever its sum, which is no number either."""
+
+    def wrong(image, origin, table, x, y, light, cubic):
+        stamps.draw_stamps(image, origin, table, x, y, light, cubic)
+        image[40, 50] = np.nan
+
+    monkeypatch.setattr(light_module, "draw_stamps", wrong)
+    with pytest.raises(NightglassError, match=r"stars_e \(stars\) is not .* row 40, column 50"):
+        render(plan, stars())
+
+
+def test_layers_too_bright_together_are_named(plan):
+    """Each of them is a number, their sum is none."""
+    layers = {"stars_e": np.full((SIDE, SIDE), 1e308), "dark_e": np.full((SIDE, SIDE), 1e308)}
+    with np.errstate(over="ignore"):
+        mean_e = layers["stars_e"] + layers["dark_e"]
+    with pytest.raises(NightglassError, match="too much light in stars_e and dark_e"):
+        guard_mean(plan, geometry_of(plan), WHOLE, mean_e, layers, 0.0)
+
+
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_light_of_targets_that_is_lost_or_made_is_told_of_their_layer(plan, factor, monkeypatch):
     right, target = light_module._draw_path, FrameTarget(0, 60.2, 70.7, POINT, 1e4)

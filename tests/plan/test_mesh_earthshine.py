@@ -144,6 +144,15 @@ def test_seen_areas_against_light_from_the_observer() -> None:
         assert off <= 1e-6 * area.sum()
 
 
+def test_a_plate_seen_edge_on_sends_nothing() -> None:
+    def lamp(n: int) -> tuple[np.ndarray, np.ndarray]:
+        return np.array([[0.0, 0.6, 0.8]]), np.ones(1)
+
+    body, surfaces = facets(square(2.0)), [grey(two_sided=True)]
+    assert wide_lamp_intensity(body, surfaces, lamp, [0.0, 1.0, 0.0]) == (0.0, 0.0)
+    assert wide_lamp_intensity(body, surfaces, lamp, [0.0, 0.6, 0.8])[0] > 0.1
+
+
 def test_limits_and_refusals() -> None:
     at = view(5e5)
     night = View(at.time_s, at.place_m, at.velocity_m_s, -at.place_m * 2e4, at.observer_m)

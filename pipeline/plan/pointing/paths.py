@@ -105,9 +105,11 @@ def check_paths(scene: Scene, g: Geometry, stars: Array) -> None:
     absurd = ~(length <= LONGEST_STREAK_PX)
     if absurd.any():
         frame = int(np.argmax(absurd))
+        far_px = length[frame]
+        far = f"streak {far_px:.3g} px" if far_px < np.inf else "come behind the camera"
         raise BadInput(
             "pointing",
-            f"stars that streak {length[frame]:.3g} px in exposure {g.frame[frame]}",
+            f"stars that {far} in exposure {g.frame[frame]}",
             f"streaks of at most {LONGEST_STREAK_PX:.0f} px: a shorter exposure, or a slower "
             "pointing",
         )

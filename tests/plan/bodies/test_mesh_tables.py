@@ -104,6 +104,16 @@ def test_no_more_moments_are_worked_out_than_may_be() -> None:
     assert tabulated(light, 0.0, 20.0, 2e-3, 2 * grid, True) is not None
 
 
+@pytest.mark.parametrize("turns", [4096, 0])
+def test_a_flicker_that_every_halving_misses_is_found_at_places_by_chance(turns: int) -> None:
+    """4,096 times from start to end, dark wherever even times look."""
+
+    def light(_: np.ndarray, t: np.ndarray) -> np.ndarray:
+        return (1.0 + np.sin(np.pi * turns * t) ** 2)[:, None]
+
+    assert (tabulated(light, 0.0, 1.0, 1e-2, 20_000, True) is None) == bool(turns)
+
+
 def scene_of(folder: Path, law: dict[str, Any] | None, frames: int, **more: Any) -> Any:
     from pipeline.inputs.targets.meshes import gather_meshes
 

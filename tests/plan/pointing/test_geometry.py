@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import fields
 from typing import Any
@@ -197,6 +198,31 @@ def test_absurd_rates_are_refused(scene: Make, rate: float) -> None:
                             "rate_ra_arcsec_s": rate, "rate_dec_arcsec_s": 0.0}}  # fmt: skip
     with pytest.raises(BadInput):
         every(scene(changes))
+
+
+def test_stars_that_come_behind_the_camera_are_refused(scene: Make) -> None:
+    """A drift of 400 degrees in an exposure, which no rate of the boresight tells of."""
+    drift = {"drift": {"x_arcsec_s": 7.2e5}}
+    turning = {"mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0}
+    with pytest.raises(BadInput) as caught:
+        every(scene({"pointing": turning | {"attitude": drift}}))
+    assert caught.value.field == "pointing"
+    assert "'stars that come behind the camera in exposure 0'" in str(caught.value)
+    assert "streaks of at most 100000 px" in str(caught.value)
+
+
+def test_a_target_that_flies_past_the_observer_is_refused(scene: Make) -> None:
+    """Over the frame at first, 88 degrees off at the next moment looked at, then behind."""
+    here, ahead_s = {"kind": "state", "position_m": [7e6, 0, 0]}, 7.8165e-3
+    past = {"position_m": [7e6 + 38.0, 1e4, 0], "velocity_m_s": [0, 7.5e3 - 1e4 / ahead_s, 0]}
+    target = GEO_TARGET | {"orbit": here | past}
+    with pytest.raises(BadInput) as caught:
+        every(scene({
+            "observer": {"kind": "orbit", "orbit": here | {"velocity_m_s": [0, 7.5e3, 0]}},
+            "pointing": {"mode": "sidereal", "boresight_ra_deg": 90.0, "boresight_dec_deg": 0.0},
+            "stars": None, "targets": [target]}))  # fmt: skip
+    assert caught.value.field == "targets.0.orbit"
+    assert re.search(r"'7\.\d+e\+05 px over the frame in exposure 0'.*100000 px", str(caught.value))
 
 
 def test_limits_boresight_at_the_pole(scene: Make) -> None:

@@ -190,6 +190,15 @@ def test_local_pointing_needs_a_place(scene: Make) -> None:
         every(scene({"pointing": LOCAL}))
 
 
+def test_an_orbit_straight_up_has_no_way_forward(scene: Make) -> None:
+    up = {"kind": "state", "position_m": [7e6, 0, 0], "velocity_m_s": [3e3, 0, 0]}
+    for dwells in (None, [{}, {"pointing": LOCAL}]):
+        plain = {"pointing": SIDEREAL, "dwells": dwells} if dwells else {"pointing": LOCAL}
+        with pytest.raises(BadInput, match="that does not move straight up") as c:
+            every(scene({"observer": {"kind": "orbit", "orbit": up}} | plain))
+        assert c.value.field == ("dwells.1.pointing.mode" if dwells else "pointing.mode")
+
+
 def test_drift_moves_the_stars_against_it(scene: Make) -> None:
     drift = {"drift": {"x_arcsec_s": 8.0, "y_arcsec_s": -6.0}}
     s = scene({"pointing": SIDEREAL | {"attitude": drift}})

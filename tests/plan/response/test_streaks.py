@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import simpson
 
+from pipeline.errors import BadInput
 from pipeline.physics.drawing.quadrature import draw_quadrature
 from pipeline.physics.motion.streak import HALVINGS, POINT, Path, densest_share
 from pipeline.physics.psf.pupil import Blur, Gaussian
@@ -148,6 +149,28 @@ def test_the_brighter_a_star_the_closer_it_keeps_to_its_path(scene: Make, inside
         off_px = math.dist(centroid(own), exact) - left_px
         per_px = light_e / max(1.0, streak.path.length_px)
         assert off_px * per_px <= 2.0 * SHOWN * plan.budget_e
+
+
+def test_no_stars_have_no_paths_of_their_own(scene: Make) -> None:
+    s = rate(scene, 3.0, -2.0, 0.1)
+    camera, g = camera_of(s), plan_geometry(s, np.array([0]), 0.0)
+    streak = zone_streak(camera, g, 0, 0, plan_streaks(camera, g, True), True)
+    none = np.zeros(0)
+    assert own_paths(camera, g, streak.zone, streak.followed, 0.0, none, none, none, True) == []
+
+
+def test_a_star_that_comes_behind_the_camera_has_no_path(scene: Make) -> None:
+    """The boresight turns by 180 degrees until mid-exposure."""
+    s = rate(scene, 3.0, -2.0, 0.1)
+    camera, g = camera_of(s), plan_geometry(s, np.array([0]), 0.0)
+    turned = g.attitude.copy()
+    turned[:, 0] *= [[1.0], [-1.0], [-1.0]]
+    turning = replace(g, attitude=turned)
+    x, y = np.array([383.5, 383.5]), np.array([255.5, -900.0])
+    with pytest.raises(BadInput, match="a boresight that turns away from its field") as caught:
+        star_offsets(camera, turning, x, y, True)
+    assert caught.value.field == "exposure.integration_s"
+    assert np.isfinite(star_offsets(camera, g, x, y, True)).all()
 
 
 @pytest.mark.parametrize("finer", [1.0, 0.25, 2.0**-6])
