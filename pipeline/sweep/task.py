@@ -10,8 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, Geometry, SensorMaps
 from pipeline.errors import NO_ROOM, DiskFull, NightglassError, shorten
@@ -225,7 +223,8 @@ def _tried(point: _Point, work: Callable[[], object]) -> None:
     except OSError as error:
         if error.errno in NO_ROOM:
             raise
-        point.fault = f"{error.filename or ''}: {error.strerror}"
+        told = error.strerror or str(error)  # of libraries, who give neither code nor file
+        point.fault = f"{error.filename}: {told}" if error.filename else told
     except Exception as error:
         point.fault = f"internal fault: {type(error).__name__}: {shorten(str(error), 400)}"
     point.seconds += time.perf_counter() - started
@@ -233,8 +232,6 @@ def _tried(point: _Point, work: Callable[[], object]) -> None:
 
 def _plain(value: object) -> object:
     """A value as a table takes it: numbers, text, true and false; anything else as JSON."""
-    if isinstance(value, np.generic):
-        value = value.item()
     if value is None or isinstance(value, bool | int | float | str):
         return value
     return json.dumps(value, sort_keys=True)

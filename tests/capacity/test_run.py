@@ -18,7 +18,7 @@ import pytest
 
 from pipeline.capacity.course import make_course
 from pipeline.capacity.run import StudyOptions, _is_whole, _searched, forecast_of, run_study
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, Incomplete
 from pipeline.sweep.ledger import PointLedger
 from pipeline.sweep.run import SweepProgress
 from tests.command import nightglass
@@ -243,6 +243,27 @@ def test_killed_at_any_change_of_its_files_it_goes_on(
     assert len(whole) >= 8
     for name in whole:
         assert pq.read_table(tmp_path / "out" / name) == pq.read_table(tmp_path / "whole" / name)
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "told"),
+    [(BadInput("sensors", "x", "another"), BadInput, "^sensors: 'x' is .*allowed: another$"),
+     (PermissionError(13, "Permission denied", "a"), PermissionError, "Permission denied"),
+     (KeyError("gain"), Incomplete, "^KeyError: 'gain'; what is finished is kept$")],
+)  # fmt: skip
+def test_a_task_that_fails_ends_the_study(
+    fault: Exception, kind: type[Exception], told: str, data: Data, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, without_pictures: None,
+) -> None:  # fmt: skip
+    """With --resume it goes on from there."""
+    data["duration_h"] = 1.0
+    with monkeypatch.context() as failing:
+        failing.setattr("pipeline.capacity.run.find_candidates", Mock(side_effect=fault))
+        with pytest.raises(kind, match=told):
+            run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous"))
+    assert not (tmp_path / "out" / "_COMPLETE").exists()
+    run_study(data, tmp_path, tmp_path / "out", StudyOptions("synchronous", resume=True))
+    assert (tmp_path / "out" / "_COMPLETE").exists()
 
 
 def test_where_memory_ends_no_finished_window_is_lost(

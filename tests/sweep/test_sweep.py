@@ -13,16 +13,18 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from distributed.scheduler import KilledWorker
 
 from catalog_tools.engine.code import code_digest
 from catalog_tools.ingest.ingest import ingest
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, DiskFull, Incomplete
 from pipeline.execute.sources import place_targets
 from pipeline.inputs.sensor.sensor import gather_sensor_maps
 from pipeline.plan.pointing.geometry import plan_geometry
@@ -32,7 +34,7 @@ from pipeline.route.run import Options
 from pipeline.spec.load import InvalidScene, parse_scene
 from pipeline.spec.sweep import Detection
 from pipeline.spec.sweep_load import parse_sweep
-from pipeline.sweep import ledger, task
+from pipeline.sweep import ledger, run, task
 from pipeline.sweep.metrics import Measurement, target_windows
 from pipeline.sweep.points import scene_of
 from pipeline.sweep.run import gather_course, point_scene, sweep
@@ -115,6 +117,40 @@ def test_a_targets_response_lies_where_it_is_drawn(way, scene_data):
     assert max(np.abs(np.array([ours.y_px, ours.x_px]) - 127.5)) > 100.0
 
 
+@pytest.mark.parametrize(
+    ("north_px", "rate_px_s", "seen"),
+    [(0, 0, 1), (127, 0, 1), (129, 0, 0), (200, 0, 0), (0, 600, 1), (0, 2400, 0)],
+)
+def test_a_target_that_is_not_wholly_in_view_has_no_window(north_px, rate_px_s, seen, scene_data):
+    """At the frame's edge or beyond it, or with a streak too long to look along."""
+    plain = copy.deepcopy(scene_data) | {"stars": None}
+    plain["sensor"]["psf"] = {"kind": "gaussian", "sigma_px": 1.0}
+    plain["sensor"]["shape"] = [256, 2600]
+    plain["pointing"] |= {"mode": "rate", "boresight_dec_deg": 20.0 + north_px * 2.0 / 3600.0,
+                          "rate_ra_arcsec_s": 2.0 * rate_px_s,
+                          "rate_dec_arcsec_s": 0.0}  # fmt: skip
+    plan = prepare(parse_scene(plain)).plan
+    g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
+    assert len(target_windows(plan, g, ("ball",), 3.0)) == seen
+
+
+def test_metrics_of_what_is_never_seen_are_empty(sweep_file, tmp_path):
+    """A target outside the frame; noise in which no star of 1e12 electrons is found."""
+    axis = {"kind": "table", "fields": ["pointing.boresight_ra_deg", "sensor.read_noise_e"],
+            "rows": [[160.0, 5.0], [160.12, 1e9]]}  # fmt: skip
+    path = sweep_file([axis], {"accept": ["coverage"], "sensor.flat": 1e-3})
+    sweep(path, tmp_path / "out", Options("synchronous"))
+    there, gone = table(tmp_path / "out").to_pylist()
+    assert [r["message"] for r in (there, gone)] == [None, None]
+    assert 1.0 < there["limiting_light_e"] < 1e12
+    assert there["limiting_g_mag"] < 20.0
+    assert there["frames_in_view.ball"] == 2
+    assert there["snr.ball"] > 0.0
+    assert (gone["limiting_light_e"], gone["limiting_g_mag"]) == (None, None)
+    assert (gone["snr.ball"], gone["frames_in_view.ball"]) == (0.0, 0)
+    assert (gone["peak_sigma.ball"], gone["detected_fraction.ball"]) == (None, None)
+
+
 def test_metrics_take_each_frames_own_time(sweep_file, tmp_path):
     """Frames of 0.5 and 2 s: every metric is that of its own frame, as of scenes of one time."""
     plain = {"background.uniform_mag_arcsec2": None, "background.uniform_e_per_s": 30.0,
@@ -162,6 +198,112 @@ def test_a_first_point_that_fails_stops_no_sweep(sweep_file, tmp_path):
     axis = {"field": "accuracy.noise_fraction", "values": [1e-9, 0.05]}
     sweep(sweep_file([axis]), tmp_path / "out", Options("synchronous"))
     assert [r["status"] for r in table(tmp_path / "out").to_pylist()] == ["failed", "done"]
+
+
+def test_a_target_too_bright_to_draw_fails_its_points(sweep_file, tmp_path):
+    """Found when the first frame is drawn; the second one of those points is left out."""
+    axes = [{"field": "targets.0.body.magnitudes", "values": [[-45, -45], [9, 9]]}, NOISE]
+    body = {"kind": "light_curve", "times_s": [-10, 10], "magnitudes": [9, 9]}
+    ball = json.loads(sweep_file([NOISE]).read_text())["scene"]["targets"][0] | {"body": body}
+    small = {"targets": [ball], "accept": ["error"], "stars": None,
+             "sensor.psf": {"kind": "gaussian", "sigma_px": 1.0}}  # fmt: skip
+    path = sweep_file(axes, small, metrics=["snr", "timing"])
+    sweep(path, tmp_path / "out", Options("synchronous"))
+    rows = table(tmp_path / "out").to_pylist()
+    assert [r["status"] for r in rows] == ["failed", "failed", "done", "done"]
+    for row in rows[:2]:
+        assert row["message"].startswith("accuracy.noise_fraction: 'a source of ")
+        assert (row["content_digest"], row["snr.ball"]) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [(PermissionError(13, "Permission denied", "gain.npy"), "gain.npy: Permission denied"),
+     (OSError(5, "Input/output error"), "Input/output error"),
+     (ZeroDivisionError("by zero"), "internal fault: ZeroDivisionError: 'by zero'"),
+     (ValueError("x" * 1000), f"internal fault: ValueError: '{'x' * 100}"),
+     (OSError("image file is truncated"), "image file is truncated")],
+    ids=["file", "disk", "fault", "long", "library"],
+)  # fmt: skip
+def test_what_fails_in_a_point_is_told_in_its_row(fault, told, sweep_file, tmp_path, monkeypatch):
+    """Whatever it is; the other points go on."""
+    tile = task.render_tile
+
+    def fails(plan, *rest):
+        if plan.scene.sensor.read_noise_e == 2.0:
+            raise fault
+        return tile(plan, *rest)
+
+    monkeypatch.setattr(task, "render_tile", fails)
+    sweep(sweep_file([NOISE], SKY), tmp_path / "out", Options("synchronous"))
+    first, second = table(tmp_path / "out").to_pylist()
+    assert first["status"] == "failed"
+    assert first["message"].startswith(told)
+    assert len(first["message"]) < 500
+    assert (second["status"], second["message"]) == ("done", None)
+
+
+@pytest.mark.parametrize("fault", [OSError(28, "No space left"), DiskFull("out", 28, "empty it")])
+def test_a_full_disk_is_no_points_fault(fault, sweep_file, tmp_path, monkeypatch):
+    """It ends the sweep, which goes on from there."""
+
+    def fails(*_):
+        raise fault
+
+    path, out = sweep_file([NOISE], SKY), tmp_path / "out"
+    with monkeypatch.context() as full:
+        full.setattr(task, "render_tile", fails)
+        with pytest.raises(DiskFull, match=f"{out}: the disk is full .* go on with --resume"):
+            sweep(path, out, Options("synchronous"))
+    assert sweep(path, out, Options("synchronous", resume=True))["failed"] == 0
+
+
+def test_points_that_kill_their_processes_are_rows(sweep_file, tmp_path, monkeypatch):
+    """A cluster gives up on a task whose workers die: its points are tried one by one."""
+    work, asked = run.run_points, []
+
+    def dies(course, numbers):
+        asked.append(numbers)
+        if 1 in numbers:
+            raise KilledWorker("draw", SimpleNamespace(address="tcp://10.0.0.1:4000"), 3)
+        return work(course, numbers)
+
+    monkeypatch.setattr(run, "run_points", dies)
+    axis = {"field": "sensor.read_noise_e", "values": [2.0, 3.0, 4.0]}
+    report = sweep(sweep_file([axis], SKY), tmp_path / "out", Options("synchronous"))
+    rows = table(tmp_path / "out").to_pylist()
+    assert asked == [(0, 1, 2), (0,), (1,), (2,)]
+    assert [r["status"] for r in rows] == ["done", "failed", "done"]
+    assert [r["sensor.read_noise_e"] for r in rows] == [2.0, 3.0, 4.0]
+    told = "the point's task keeps killing the processes that run it"
+    assert report["messages"] == {told: 1}
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "told"),
+    [(DiskFull("/tmp", 28, "make room"), DiskFull, "make room"),
+     (PermissionError(13, "Permission denied", "a"), PermissionError, "Permission denied"),
+     (KeyError("gain"), Incomplete, "^KeyError: 'gain'; what is finished is kept$")],
+)  # fmt: skip
+def test_a_task_that_fails_as_a_whole_ends_the_sweep(
+    fault, kind, told, sweep_file, tmp_path, monkeypatch
+):
+    """What was finished before stays: with --resume the rest is done."""
+    axis = {"field": "exposure.integration_s", "values": [0.5, 0.6]}  # a task each
+    work, path, out = run.run_points, sweep_file([axis], SKY), tmp_path / "out"
+
+    def fails(course, numbers):
+        if 1 in numbers:
+            raise fault
+        return work(course, numbers)
+
+    with monkeypatch.context() as failing:
+        failing.setattr(run, "run_points", fails)
+        with pytest.raises(kind, match=told):
+            sweep(path, out, Options("synchronous"))
+    heard = []
+    report = sweep(path, out, Options("synchronous", resume=True), listen=heard.append)
+    assert (heard[0].done, heard[-1].done, report["failed"]) == (1, 2, 0)
 
 
 def test_what_points_share_is_counted_once(sweep_file, tmp_path, monkeypatch):
