@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -197,7 +196,7 @@ def write_light_curves(
                 writer.write_table(plain(pa.concat_tables([_table(n, c, utc) for n, c in some])))
                 count += len(some)
     except OSError as error:
-        why = os.strerror(error.errno or 0)
+        why = error.strerror or str(error)
         raise BadInput("-o", str(table), f"a file that can be written; {why}") from None
     return count
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -193,6 +194,17 @@ def test_no_plot_of_many(tmp_path: Path) -> None:
     curves = light_curves(parse_scene(SCENE), [], BAND, points=5)
     with pytest.raises(BadInput, match=r"^--plot: .* one --target"):
         write_light_curves(curves, tmp_path / "a.parquet", tmp_path / "a.png")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_table_that_cannot_be_written_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pq.ParquetWriter, "write_table", Mock(side_effect=OSError(5, "lost")))
+    curves = light_curves(parse_scene(SCENE), [], BAND, points=5)
+    with pytest.raises(BadInput) as caught:
+        write_light_curves(curves, tmp_path / "a.parquet")
+    assert (caught.value.field, caught.value.allowed) == ("-o", "a file that can be written; lost")
     assert not list(tmp_path.iterdir())
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
 from collections.abc import Iterator
 from itertools import groupby
@@ -60,7 +59,7 @@ def write(observed: Observed, path: Path) -> None:
             else:
                 own.write_text(tdm_text(observed), encoding="utf-8")
     except OSError as error:
-        why = os.strerror(error.errno or 0)
+        why = error.strerror or str(error)
         raise BadInput("-o", str(path), f"a file that can be written; {why}") from None
 
 

@@ -250,6 +250,12 @@ BAD: list[tuple[dict[str, Any], str]] = [
      "^cameras.0.sensor.detector.readout.kind: 'tdi' is not accepted; allowed: frame_transfer"),
     ({"duration_h": 24 * 3000, "catalogue": {"synthetic": {"objects": 50_000}}},
      "study: '[0-9]+ h of one core' is not accepted; allowed: up to 24 h"),
+    ({"sensors.1.name": "one"}, "^sensors: .*allowed: different names$"),
+    ({"cameras.0.tracking": "sidereal", "tasking": {"kind": "serendipitous", "pattern": "fence",
+        "from_deg": 60, "to_deg": 60}},
+     "^tasking.to_deg: 60 is not accepted; allowed: above from_deg = 60"),
+    ({"seeds": 500, "axes": [{"field": "sensors.0.count", "values": [1, 2, 3]}]},
+     "^axes: .*allowed: up to 1000 points$"),
 ]  # fmt: skip
 
 

@@ -7,15 +7,17 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from pipeline.errors import BadInput
 from pipeline.execute.sources import place_targets
 from pipeline.observe.centroid import centroid_covariance_px2
-from pipeline.observe.files import tdm_text
+from pipeline.observe.files import tdm_text, write
 from pipeline.observe.observe import observe
 from pipeline.plan.pointing.geometry import plan_geometry, sampled_frames
 from pipeline.resolve.resolve import resolve
@@ -175,6 +177,23 @@ def test_one_line_for_a_mistake(option: str, scene: Path, tmp_path: Path) -> Non
     assert result.returncode == 2
     assert BAD[option] in result.stderr.replace("'", "")
     assert len(result.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("fault", "why"), [(OSError(5, "Input/output error"), "Input/output error"),
+                       (OSError("closed by the library"), "closed by the library")],
+)  # fmt: skip
+def test_a_file_that_cannot_be_written_is_told(
+    fault: OSError, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the system's words, or those of a library that gives no code."""
+    observed = observe(parse_scene(night()), [0.0])
+    monkeypatch.setattr("pyarrow.csv.write_csv", Mock(side_effect=fault))
+    with pytest.raises(BadInput) as caught:
+        write(observed, tmp_path / "a.csv")
+    assert caught.value.field == "-o"
+    assert caught.value.allowed == f"a file that can be written; {why}"
+    assert not list(tmp_path.iterdir())
 
 
 def test_files_of_times(scene: Path, tmp_path: Path) -> None:

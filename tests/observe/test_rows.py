@@ -44,6 +44,20 @@ def test_windows_of_times_change_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
     assert len({round(n, 4) for n in noise}) == 7
 
 
+def test_more_rows_than_may_be_are_refused_by_what_asks_for_them() -> None:
+    scene, rows = parse_scene(night()), len(night()["targets"]) * 25
+    times = np.arange(25.0)
+    assert observe(scene, times, most_rows=rows).table.num_rows == rows
+    allowed = f"at most {rows - 1} rows (times x targets); here {rows}"
+    with pytest.raises(BadInput) as caught:
+        observe(scene, times, most_rows=rows - 1)
+    assert str(caught.value) == f"times: 25 is not accepted; allowed: {allowed}"
+    exposed = parse_scene(night(exposure={"integration_s": 1.0, "frames": 25, "cadence_s": 2.0}))
+    with pytest.raises(BadInput) as caught:
+        observe(exposed, most_rows=rows - 1)
+    assert str(caught.value) == f"exposure.frames: 25 is not accepted; allowed: {allowed}"
+
+
 def test_noise_is_of_each_target() -> None:
     """Two like each other at one place have noises of their own."""
     twins = [{"name": n, "orbit": in_high_orbit(150.0), "body": BALL} for n in ("ball", "twin")]

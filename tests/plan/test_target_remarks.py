@@ -31,6 +31,7 @@ from pipeline.plan.targets.orbit_age import (
     elements_error_m,
     oldest_remarks,
     sensor_remarks,
+    two_body_remarks,
 )
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
@@ -410,6 +411,31 @@ def test_sensors_that_need_no_doubt() -> None:
         asked = {"observer": observer, "epoch": epoch, "targets": [target(TLE)]}
         scene = parse_scene(SCENE | asked)
         assert sensor_remarks(scene, 0.0, 8.0) == told
+
+
+def test_old_elements_of_a_sensor_without_targets_are_told_alone() -> None:
+    """No range tells how large their error looks."""
+    orbit = {k: v if k == "kind" else checksum(v) for k, v in TLE.items()}
+    held = {"mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": -90.0}
+    asked = {"observer": {"kind": "orbit", "orbit": orbit}, "pointing": held}
+    (told,) = planned([], **asked, epoch="2019-04-17T12:00:00Z").remarks
+    assert told == (
+        "the observer: elements of 7 days before the scene's end: SGP4 is expected to be 22 km off"
+    )
+
+
+@pytest.mark.parametrize(
+    ("place_m", "speed_m_s", "days"), [(7e6, 12e3, 30.0), (5e8, 892.0, 42.0)],
+    ids=["it escapes", "so far out that it drifts by less than a kilometre"],
+)  # fmt: skip
+def test_orbits_that_no_oblateness_turns(place_m: float, speed_m_s: float, days: float) -> None:
+    """As a sensor's they need no doubt; as a target's their bound is told."""
+    orbit = state([place_m, 0.0, 0.0], [0.0, 0.0, speed_m_s])
+    both = {"observer": {"kind": "orbit", "orbit": orbit}, "targets": [target(orbit)]}
+    scene = parse_scene(SCENE | both)
+    assert sensor_remarks(scene, 0.0, days * 86_400.0) == []
+    (told,) = two_body_remarks(scene, 0.0, days * 86_400.0)
+    assert "worst t: two-body motion, without the Earth's oblateness, Moon and Sun, is up" in told
 
 
 @pytest.mark.parametrize(("day", "longest_s"), [("20", 86_402.1), ("22", 86_400.0)])

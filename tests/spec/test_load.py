@@ -64,6 +64,7 @@ def test_json_is_read(full: dict[str, Any]) -> None:
         (b"{a: " * 20_000, "levels"),
         (b"- " * 20_000, "levels"),
         (b"".join(b" " * i + b"a:\n" for i in range(900)), "levels"),
+        (b'{"a": ' * 100_001, "levels"),
     ],
 )
 def test_refused_texts(raw: bytes, says: str) -> None:

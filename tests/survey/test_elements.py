@@ -50,6 +50,13 @@ def test_the_set_nearest_to_the_period_counts(tmp_path: Path) -> None:
     ]
 
 
+def test_a_file_of_which_nothing_can_be_read_is_refused(tmp_path: Path) -> None:
+    """With what its first set is read as."""
+    broken = lines_of(9, 110.0, "BROKEN").replace("51.6000", "51.60x0")
+    with pytest.raises(BadInput, match=r"'BROKEN: .* is not accepted; allowed: element sets to be"):
+        gathered(tmp_path, broken)
+
+
 def test_sets_without_a_number_are_objects_of_their_own(tmp_path: Path) -> None:
     text = "".join(lines_of(n, day, f"A {day}") for n, day in (
         (0, 108.0), (0, 111.0), (4, 111.0), (0, 112.0), (4, 112.0)))  # fmt: skip

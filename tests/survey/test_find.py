@@ -174,6 +174,18 @@ def test_no_night_and_no_population_are_refused() -> None:
 
 
 @pytest.mark.usefixtures("coarse_signal")
+def test_a_night_is_that_of_a_site_and_a_sensor_is_near_the_earth() -> None:
+    orbit = {"kind": "state", "position_m": [7e6, 0, 0], "velocity_m_s": [0, 7.5e3, 0]}
+    data = load_scene(ROOT / "examples" / "population.yaml").as_dict()
+    data["observer"] = {"kind": "orbit", "orbit": orbit}
+    with pytest.raises(BadInput, match=r"--night: 'an orbit' .*; for a satellite give --hours"):
+        find(parse_scene(data), FindOptions(night=True))
+    data["observer"] = {"kind": "fixed", "position_au": [1, 0, 0]}
+    with pytest.raises(BadInput, match=r"observer\.kind: 'fixed' is .*allowed: ground or orbit"):
+        find(parse_scene(data), FindOptions())
+
+
+@pytest.mark.usefixtures("coarse_signal")
 def test_objects_that_no_shadow_dims_are_found_beside_those_that_it_does(
     objects: Elements,
 ) -> None:

@@ -35,6 +35,7 @@ from pipeline.spec.load import InvalidScene, parse_scene
 from pipeline.spec.sweep import Detection
 from pipeline.spec.sweep_load import parse_sweep
 from pipeline.sweep import ledger, run, task
+from pipeline.sweep.check import check
 from pipeline.sweep.metrics import Measurement, target_windows
 from pipeline.sweep.points import scene_of
 from pipeline.sweep.run import gather_course, point_scene, sweep
@@ -508,6 +509,10 @@ BAD = {
     "cube beyond": ([NOISE], {"cubes": [2]}, "cubes"),
     "unknown key": ([NOISE], {"axis": []}, "axis"),
     "no design": ([NOISE], {"design": {"kind": "random"}}, "design.kind"),
+    "too many to draw": (
+        [{"field": f"sensor.{name}", "kind": "range", "start": 1, "stop": 2}
+         for name in ("read_noise_e", "gain_e_per_dn", "dark_e_per_s", "flat", "bias_dn")],
+        {"design": {"kind": "latin_hypercube", "points": 8_000_001}}, "design.points"),
 }  # fmt: skip
 
 
@@ -522,6 +527,20 @@ def test_bad_sweeps_are_named_and_nothing_runs(name, sweep_file, tmp_path):
     assert field in text, str(refused.value)
     assert len(str(refused.value)) < 2000
     assert not (tmp_path / "out").exists()
+
+
+def test_more_targets_than_are_measured_are_refused(sweep_file, tmp_path):
+    """Unless the sweep names those that it measures, or measures none."""
+    [ball] = json.loads(sweep_file([NOISE]).read_text())["scene"]["targets"]
+    many = {"stars": None, "targets": [ball | {"name": f"ball-{k}"} for k in range(65)]}
+    with pytest.raises(BadInput) as refused:
+        sweep(sweep_file([NOISE], many), tmp_path / "out")
+    assert str(refused.value) == (
+        "targets: '65 targets' is not accepted; "
+        "allowed: targets: a list of up to 64 names to measure"
+    )
+    assert check(gather_course(sweep_file([NOISE], many, targets=["ball-3"]), tmp_path))
+    assert check(gather_course(sweep_file([NOISE], many, metrics=["background"]), tmp_path))
 
 
 def test_a_mistake_of_the_base_scene_is_told_as_its_own(sweep_file, tmp_path):

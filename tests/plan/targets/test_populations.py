@@ -307,6 +307,9 @@ BAD_FILES: dict[str, tuple[bytes, str]] = {
     "json without elements": (b'[{"OBJECT_NAME": "X"}]', "can be read"),
     "broken json": (b'[{"OBJECT_NAME": "X"', "whole OMMs"),
     "long line": (b"1 " + b"x" * 100_000, "under 4096"),
+    "csv of another code page": (
+        b"OBJECT_NAME,NORAD_CAT_ID,EPOCH,MEAN_MOTION\n" + b"A,1,2019-01-01T00:00:00,15\n" * 4000
+        + b"\xff\n", "OMM as CSV or JSON .UTF-8.; 'utf-8' codec can't decode byte 0xff"),
 }  # fmt: skip
 
 
@@ -345,6 +348,29 @@ def test_names_must_not_clash(tle: Path) -> None:
         scene(tle, population={
             "body": {"kind": "cube", "edge_m": 1, "albedo": 0.1},
             "rules": [{"name_contains": "X", "diameter_m": 1}]})  # fmt: skip
+
+
+def test_more_objects_than_a_scene_may_have_are_refused(
+    tle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of one population as it is read, of several together at the end."""
+    members = len(kept(scene(tle)))
+    assert members > 2
+    monkeypatch.setattr("pipeline.plan.targets.populations.MOST_TARGETS", members - 1)
+    with pytest.raises(BadInput) as caught:
+        prepare(scene(tle))
+    assert caught.value.field == "populations.0.path"
+    told = rf"'\d+ objects that cross the field' .*at most {members - 1}: a smaller field"
+    assert re.search(told, str(caught.value))
+    some = scene(tle)
+    targets, population = [], some.populations[0]
+    for k in range(members):
+        targets.append(Target.model_construct(name=f"t-{k}", orbit=ORBIT, body=BALL))
+    with pytest.raises(BadInput) as caught:
+        with_members(some, [(targets, population)])
+    assert str(caught.value) == (
+        f"populations: '{members} targets' is not accepted; allowed: at most {members - 1} in all"
+    )
 
 
 def test_a_screened_population_is_not_read_again(tle: Path) -> None:
