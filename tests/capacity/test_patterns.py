@@ -119,6 +119,26 @@ def test_a_fence_stands_in_its_azimuth_at_a_pole(
     assert np.abs(off).max() < 1e-4
 
 
+@pytest.mark.parametrize(
+    ("azimuth_deg", "north", "east"), [(0.0, 1, 0), (90.0, 0, 1), (180.0, -1, 0)]
+)
+def test_a_fence_of_a_satellite_is_by_the_equators_pole(
+    course: Any, data: Data, azimuth_deg: float, north: int, east: int
+) -> None:
+    """On an orbit in the equator: north is the pole, east is where the satellite goes."""
+    orbit = {"kind": "keplerian", "semi_major_axis_m": 7.5e6, "eccentricity": 0.0,
+             "inclination_deg": 0.0, "true_anomaly_deg": 0.0}  # fmt: skip
+    data["sensors"][0]["observer"] = {"kind": "orbit", "orbit": orbit}
+    made = course(pattern="fence", from_deg=20.0, to_deg=80.0, azimuth_deg=azimuth_deg)
+    slots = slots_of(made, 0, 0)
+    look, up = slots.axes[:, 2], slots.watch.up
+    level = np.cos(np.arcsin(np.einsum("ni,ni->n", look, up)))
+    forward = np.stack([-up[:, 1], up[:, 0]], axis=1) / np.hypot(up[:, 0], up[:, 1])[:, None]
+    np.testing.assert_allclose(look[:, 2], north * level, atol=3e-3)  # the pole has moved since
+    along = np.einsum("ni,ni->n", look[:, :2], forward)
+    np.testing.assert_allclose(along, east * level, atol=3e-3)
+
+
 def test_a_belt_is_the_geostationary_ring(course: Any) -> None:
     slots = slots_of(course(pattern="belt", from_deg=-200.0, to_deg=-110.0), 0, 1)
     grid = np.radians(np.linspace(-200.0, -110.0, 9001))

@@ -302,6 +302,19 @@ def test_a_slew_starts_when_the_last_row_is_exposed() -> None:
     assert rolling[2].start_s == pytest.approx(plain[2].start_s + late_s)
 
 
+def test_a_target_off_its_parabola_is_refused() -> None:
+    """One that comes near beside the boresight, the faster the nearer."""
+    orbit = {"kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3070, 0]}
+    past = TARGET | {"orbit": orbit | {"position_m": [4.2e7 + 4e4, 4e4, 0],
+                                       "velocity_m_s": [-700, 3070, 0]}}  # fmt: skip
+    observer = {"kind": "orbit", "orbit": orbit}
+    ahead = {"mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0}
+    wide = scene(None, 0.0, {"line_s": 0.02}).as_dict()["sensor"] | {"focal_length_m": 1e-3}
+    with pytest.raises(BadInput, match=r"a shorter readout: in 5\.98 s a source comes .* px off"):
+        plan_scene(scene(None, 0.0, observer=observer, sensor=wide, targets=[past],
+                         pointing=ahead))  # fmt: skip
+
+
 def test_a_fast_dwell_is_refused_however_many_there_are() -> None:
     fast = {"mode": "rate", "boresight_ra_deg": RA_DEG, "boresight_dec_deg": DEC_DEG,
             "rate_ra_arcsec_s": 300.0, "rate_dec_arcsec_s": 0.0}  # fmt: skip

@@ -358,6 +358,23 @@ def test_a_polygon_that_crosses_itself_is_refused(tmp_path, last):
         read_mesh(write(tmp_path, prism([(0, 0), (2, 0), (0, 1), (2, last)], 0, "obj")), "m")
 
 
+def test_a_star_drawn_in_one_line_is_refused(tmp_path):
+    """Which goes round twice, so that no corner of it can be cut off."""
+    star = [(0, 3), (2, -2), (-3, 1), (3, 1), (-2, -2)]
+    with pytest.raises(BadInput, match="a face that crosses itself"):
+        read_mesh(write(tmp_path, prism(star, 0, "obj")), "m")
+
+
+def test_more_facets_than_may_be_are_refused_once_they_are_read(tmp_path, monkeypatch):
+    """Of polygons, which tell fewer facets than they become."""
+    monkeypatch.setattr("pipeline.inputs.targets.meshes.MOST_FACETS", 9)
+    path = write(tmp_path, prism(L_SHAPE, 0, "obj"), "prism.obj")
+    with pytest.raises(BadInput) as refused:
+        read_mesh(path, "m")
+    assert "prism.obj of 20 facets' is not accepted" in str(refused.value)
+    assert refused.value.allowed == "at most 9 facets"
+
+
 def test_corners_may_be_counted_backwards(tmp_path):
     """From the last point before the face, as the format has it, not from the file's last one."""
     points = [line for line in CUBE.splitlines() if line.startswith("v ")]
