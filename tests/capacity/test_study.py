@@ -19,6 +19,7 @@ from pipeline.capacity.course import make_course
 from pipeline.capacity.run import StudyOptions, forecast_of, run_study
 from pipeline.errors import BadInput
 from pipeline.spec.dotted import changed
+from pipeline.spec.study_load import parse_study, read_study
 
 pytestmark = pytest.mark.usefixtures("coarse_signal")
 ALONE = StudyOptions("synchronous")
@@ -270,6 +271,19 @@ def test_bad_input_is_one_line(data: Data, tmp_path: Path, changes: Data, text: 
     assert re.search(text, str(told.value)), str(told.value)
     assert "\n" not in str(told.value)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("text", ["[1, 2]", "3", "hello"])
+def test_what_is_no_study_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "study.yaml").write_text(text)
+    data = text if text == "hello" else json.loads(text)
+    allowed = "a mapping (schema, name, start, sensors, ...)"
+    with pytest.raises(BadInput) as read:
+        read_study(tmp_path / "study.yaml", ["seed=1"])
+    with pytest.raises(BadInput) as parsed:
+        parse_study(data)
+    for told in (read, parsed):
+        assert str(told.value) == f"study: {data!r} is not accepted; allowed: {allowed}"
 
 
 def test_a_sensor_without_a_night_is_reported_and_the_others_look(

@@ -59,6 +59,22 @@ def test_points_with_detector_extras_share_nothing(sweep_file: Any, tmp_path: Pa
     assert told["different"] == dict.fromkeys(("plans", "stars", "targets", "sky"), 2)
 
 
+@pytest.mark.parametrize("design", [{"kind": "grid"}, {"kind": "sobol", "points": 8}])
+def test_designs_too_large_to_count_are_told_from_their_axes(
+    sweep_file: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, design: dict[str, Any]
+) -> None:
+    """As many as if their points were looked at one by one."""
+    many = {"kind": "range", "start": 0.1, "stop": 0.3} | (
+        {"count": 3} if design["kind"] == "grid" else {}
+    )
+    axes = [{"field": AXES[0]["field"], **many}, {"field": AXES[2]["field"], **many}]
+    course = gather_course(sweep_file(axes, design=design, seeds=2), tmp_path / "out")
+    counted = forecast_course(course)["different"]
+    monkeypatch.setattr("pipeline.sweep.forecast.COUNTED", 2)
+    assert forecast_course(course)["different"] == counted
+    assert (counted["targets"], counted["sky"]) == (3 if "count" in many else 8, 1)
+
+
 def test_dry_run_on_the_command_line(
     sweep_file: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -720,6 +720,16 @@ def test_the_quietest_detector_sets_the_floor_of_all_points(sweep_file, tmp_path
     assert floors == pytest.approx([alone] * 4, rel=1e-12)
 
 
+def test_the_darkest_sky_sets_the_floor_of_all_points_with_one(sweep_file):
+    """A point without sky has the floor of its detector alone."""
+    field = "background.uniform_e_per_s"
+    plain = {"stars": None, "targets": None, "background": {"uniform_e_per_s": 3.0}}
+    path = sweep_file([{"field": field, "values": [None, 5000.0, 3000.0]}], plain)
+    none, bright, dark = (point_scene(path, k).accuracy.noise_floor_e for k in range(3))
+    assert none == pytest.approx(math.sqrt(5.0**2 + 2.0 * 0.5 + 2.0**2 / 12.0), rel=1e-6)
+    assert bright == dark == pytest.approx(math.sqrt(none**2 + 3000.0 * 0.5), rel=1e-6)
+
+
 def test_a_floor_that_the_scene_states_stays(sweep_file):
     """Whatever the axes vary: it is the user's own."""
     path = sweep_file([NOISE], SKY | {"accuracy": {"noise_floor_e": 3.25}})

@@ -183,6 +183,10 @@ def test_nodes_follow_the_cadence(scene: Make) -> None:
             "line1": "1 20253U 89077A   19100.15292632 -.00000145  00000-0  00000+0 0  9995",
             "line2": "2 20253  13.0618   9.0432 0006304 343.1833 245.2641  1.00270126234281"}}},
          "observer.orbit.line1"),
+        ({"targets": [{**GEO_TARGET, "orbit": {
+            "kind": "ephemeris", "path": "unread.csv", "frame": "gcrs"}}]}, "targets.0.orbit.path"),
+        ({"targets": [{**GEO_TARGET, "orbit": {"kind": "omm", "path": "unread.csv"}}]},
+         "targets.0.orbit.path"),
     ],
 )  # fmt: skip
 def test_refused_views_and_orbits(scene: Make, changes: dict, field: str) -> None:

@@ -190,6 +190,22 @@ def test_local_pointing_needs_a_place(scene: Make) -> None:
         every(scene({"pointing": LOCAL}))
 
 
+@pytest.mark.parametrize(
+    ("pointing", "field", "told"),
+    [({"mode": "table", "path": "a.csv", "frame": "icrs", "scalar": "last"}, "pointing.path",
+      "a table that was read"),
+     (SIDEREAL | {"attitude": {"jitter": [{"kind": "table", "path": "a.csv"}]}},
+      "pointing.attitude.jitter", "a spectrum that was read")],
+    ids=["attitudes", "spectrum"],
+)  # fmt: skip
+def test_files_that_nobody_has_read_are_refused(
+    scene: Make, pointing: dict[str, Any], field: str, told: str
+) -> None:
+    with pytest.raises(BadInput) as caught:
+        every(scene({"pointing": pointing}))
+    assert str(caught.value) == f"{field}: 'a.csv' is not accepted; allowed: {told}"
+
+
 def test_an_orbit_straight_up_has_no_way_forward(scene: Make) -> None:
     up = {"kind": "state", "position_m": [7e6, 0, 0], "velocity_m_s": [3e3, 0, 0]}
     for dwells in (None, [{}, {"pointing": LOCAL}]):
