@@ -122,8 +122,6 @@ class Stages:
         part, content = base.parts["stars"]
         mine = part.geometry(g)
         name = _token((content, mine))
-        if base.plan.scene.stars is None:
-            return name, []
 
         def make() -> list[FrameStars]:
             inputs = replace(base.inputs, plan=part.plan)

@@ -284,6 +284,8 @@ def test_columns_that_satsim_flips_are_those_of_a_scene(satsim):
     assert found.left_out[-1].startswith("geometry.stars: those of mode csv")
     assert "rotation" not in " ".join(found.left_out)
     assert "flip" not in " ".join(found.left_out)
+    turned = satsim({"geometry.stars": stars | {"rotation": 30}, "fpa.flip_left_right": True})
+    assert "geometry.stars.rotation 30 deg: +y is north" in turned.notes.left_out
 
 
 def test_stray_light_is_of_every_pixel(satsim):
@@ -351,6 +353,15 @@ def test_time_and_place_of_a_satsim_file_are_the_scene_s(satsim):
         satsim({"geometry.time": [2015, 13, *time[2:]]})
     lost = satsim({"geometry.site": {"lat": "1 N"}}).notes.left_out
     assert "geometry.site: the focal plane alone; give it observer and pointing" in lost
+
+
+def test_parts_of_a_month_are_refused(satsim):
+    with pytest.raises(BadInput) as told:
+        satsim({"geometry.time": [2015, 4.5, 24, 9, 7, 4.128]})
+    assert str(told.value) == (
+        "geometry.time: [2015.0, 4.5, 24.0, 9.0, 7.0] is not accepted; "
+        "allowed: whole numbers but for the seconds"
+    )
 
 
 def test_a_model_goes_before_a_magnitude_and_that_before_electrons(satsim):
@@ -539,6 +550,14 @@ def test_samples_with_a_seed_are_those_that_satsim_draws():
     assert rest == pytest.approx(wanted, rel=1e-12)
     rows = [one["row"] for one in listed]
     assert rows == pytest.approx([0.09065423362854419, 0.8097172181205327])
+
+
+@pytest.mark.parametrize("negate", [True, "often", None])
+def test_a_chance_of_another_sign_is_a_number(negate):
+    uniform = {"$sample": "random.uniform", "low": 1, "high": 5, "negate": negate}
+    with pytest.raises(BadInput, match="allowed: a number from 0 to 1") as told:
+        settled({"pe": uniform}, np.random.default_rng(1), [])
+    assert told.value.field.endswith("pe.negate")
 
 
 @pytest.mark.parametrize("seed", [0, 3, 4])

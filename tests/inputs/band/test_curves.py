@@ -123,6 +123,16 @@ def test_limits_a_table_that_ends_in_zero_narrows_the_band(tmp_path):
     assert response.wavelength_m[[0, -1]] * 1e9 == pytest.approx([400, 850])
 
 
+def test_named_filters_need_speclite(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(BadInput) as told:
+        curves.filter_folder()
+    assert str(told.value) == (
+        "sensor.bandpass.name: 'speclite' is not accepted; "
+        "allowed: an installation with speclite"
+    )
+
+
 def test_against_every_filter_that_speclite_carries():
     for path in curves.filter_folder().glob("*.ecsv"):
         curve = curves.named_filter(path.stem)
