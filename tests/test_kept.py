@@ -65,6 +65,17 @@ CONTENT = [
 ]  # fmt: skip
 
 
+def test_the_folder_is_named_or_that_of_the_platform(tmp_path, monkeypatch):
+    monkeypatch.setenv("NIGHTGLASS_CACHE", str(tmp_path / "named"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "platform"))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert store.cache_folder() == tmp_path / "named"
+    monkeypatch.setenv("NIGHTGLASS_CACHE", "")
+    assert store.cache_folder() == tmp_path / "platform" / "nightglass"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert store.cache_folder() == tmp_path / "home" / ".cache" / "nightglass"
+
+
 def test_everything_in_the_content_counts(folder):
     found = [kept_array(one, lambda k=k: np.array(k)) for k, one in enumerate(CONTENT)]
     assert [int(a) for a in found] == list(range(len(CONTENT)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -242,6 +243,15 @@ def test_whole_frames_arrive_only_from_a_library_that_says_their_size(tmp_path):
         table(tmp_path, header=lacking, frame=[0, 2])
         with pytest.raises(BadInput, match="which frame"):
             gather_cosmic_rays(wish, SENSOR, 1.0)
+
+
+def test_a_dark_that_is_cut_off_after_it_was_opened_is_named(tmp_path):
+    """Whose shape is read from its head alone."""
+    np.save(tmp_path / "a.npy", np.zeros((9, 20, 30)))
+    darks = open_darks([tmp_path / "a.npy"])
+    os.truncate(tmp_path / "a.npy", 4000)
+    with pytest.raises(BadInput, match=r"DARK_FRAMES: .*a\.npy' is .*allowed: a readable image; "):
+        darks.band(0, 4)
 
 
 def test_refusals_of_darks(tmp_path):
