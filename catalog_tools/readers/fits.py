@@ -64,11 +64,7 @@ def read_fits(
     """
     stream = _Stream(path, bytes_of(path, zipped=zipped, md5=md5))
     header = _find_table(stream, where, layout.hdu)
-    try:
-        columns = _columns(header, where)
-        width, rows = int(header["NAXIS1"]), int(header["NAXIS2"])
-    except (KeyError, TypeError, ValueError) as error:  # a keyword that is absent, or no number
-        raise BadInput(where, str(error)[:80], STANDARD) from None
+    columns, width, rows = _described(header, where)
     chosen = choose(*_named(columns))
     twice = [n for n in chosen if sum(column.name == n for column in columns) > 1]
     if twice:
@@ -178,6 +174,14 @@ def _data_bytes(header: JsonObject) -> int:
     elements = int(header.get("PCOUNT", 0)) + int(np.prod(sizes, dtype=object))
     size = abs(int(header["BITPIX"])) // 8 * int(header.get("GCOUNT", 1)) * elements
     return -(-size // BLOCK_BYTES) * BLOCK_BYTES
+
+
+def _described(header: JsonObject, where: str) -> tuple[list[Column], int, int]:
+    """The columns of a table, the bytes of its rows and how many there are."""
+    try:
+        return _columns(header, where), int(header["NAXIS1"]), int(header["NAXIS2"])
+    except (KeyError, TypeError, ValueError) as error:  # a keyword that is absent, or no number
+        raise BadInput(where, str(error)[:80], STANDARD) from None
 
 
 def _columns(header: JsonObject, where: str) -> list[Column]:

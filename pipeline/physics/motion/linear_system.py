@@ -97,6 +97,7 @@ def _settles(a: Array) -> bool:
     Van Loan 2013, 7.2.2). Where these are at right angles it is a multiple one, which that does not
     hold for, and its sign alone counts.
     """
+    a = scipy.linalg.matrix_balance(a)[0]  # states of one size: no eigenvalue changes
     value, left, right = scipy.linalg.eig(a, left=True, right=True)
     cosine = np.abs(np.sum(left.conj() * right, axis=0))
     rounding = ROUNDINGS * np.finfo(float).eps * np.abs(a).sum(axis=0).max()

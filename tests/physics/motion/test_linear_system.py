@@ -137,6 +137,17 @@ def test_a_row_of_equal_delays_settles(steps: int) -> None:
     assert np.allclose(found, solve_continuous_lyapunov(a, -b @ b.T), rtol=1e-9)
 
 
+@pytest.mark.parametrize("frequency_hz", [1e-3, 1.0, 1e4])
+@pytest.mark.parametrize("damping", [1e-6, 1.0, 1e3])
+def test_an_oscillator_settles_in_states_of_any_size(frequency_hz: float, damping: float) -> None:
+    """x and x', not x' / w: its variance is noise^2 / (4 z w^3)."""
+    w = 2.0 * np.pi * frequency_hz
+    a = np.array([[0.0, 1.0], [-w * w, -2.0 * damping * w]])
+    found = stationary_covariance(a, np.array([[0.0], [1.0]]))
+    assert found is not None
+    assert found[0, 0] == pytest.approx(1.0 / (4.0 * damping * w**3), rel=1e-6)
+
+
 @given(st.floats(1e-6, 1e4), st.floats(0.01, 0.99), st.floats(-3, 3), st.floats(0.001, 3.0))
 def test_two_steps_are_one(total_s: float, share: float, decades: float, damping: float) -> None:
     a, b = oscillator(10.0**decades, damping)
