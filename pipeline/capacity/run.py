@@ -121,10 +121,13 @@ def run_study(
             lambda: stack.enter_context(open_scheduler(options.scheduler, options.workers))
         )
         if study.points > 1:
-            _check_forecast(forecast_of(data, folder), options, begins)
+            told = forecast_of(data, folder)
+            _check_room(told, options)
+            _check_forecast(told, options, begins)
             return _run_points(data, study, folder, out, options, opened, listen)
         course = make_course(_placed(data, folder), out)
         told = course.forecast | {"remarks": list(course.remarks)}
+        _check_room(told, options)
         _check_forecast(told, options, begins)
         return _run_point(study, course, options, opened, listen)
 
@@ -182,8 +185,7 @@ def _hear_point(listen: Listener, point: int, points: int, progress: SweepProgre
 
 
 def _check_forecast(told: JsonObject, options: StudyOptions, begins: Begins | None = None) -> None:
-    """BadInput for a study that is forecast to take longer than is meant, or more memory than this
-    machine has free; else `begins` hears."""
+    """BadInput for a study that is forecast to take longer than is meant; else `begins` hears."""
     most_cpu_s = options.most_cpu_s or MOST_CPU_S
     if told["cpu_s"] > most_cpu_s and not options.yes:
         remedy = "shorten it" if options.most_cpu_s else "shorten it, or --yes"
@@ -191,13 +193,17 @@ def _check_forecast(told: JsonObject, options: StudyOptions, begins: Begins | No
         asked = f"{hours:.0f}" if hours >= 10.0 else f"{hours:.2g}"
         allowed = f"up to {most_cpu_s / 3600.0:.3g} h: {remedy}"
         raise BadInput("study", f"{asked} h of one core", allowed)
+    if begins is not None:
+        begins(told)
+
+
+def _check_room(told: JsonObject, options: StudyOptions) -> None:
+    """BadInput where this machine has not free what all workers take; before any is started."""
     here = Options(options.scheduler, options.workers)
     at_once, each_mb, free = here.processes * here.threads, told["worker_memory_mb"], free_mb()
     if at_once > 1 and at_once * each_mb > free:
         allowed = f"fewer workers of {each_mb:.0f} MB each: {free:.0f} MB are free here"
         raise BadInput("--workers", at_once, allowed)
-    if begins is not None:
-        begins(told)
 
 
 def _at_point(data: JsonObject, study: Study, point: int) -> tuple[JsonObject, JsonObject]:

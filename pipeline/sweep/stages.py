@@ -151,7 +151,8 @@ class Stages:
             return []
 
         def make() -> list[JsonObject]:
-            sources = TileSources(self.stars(base, g)[1], [], base.prepared.rays, light)
+            parts = [] if base.plan.scene.stars is None else self.stars(base, g)[1]
+            sources = TileSources(parts, [], base.prepared.rays, light)
             return check_light(base.plan, base.prepared.maps, g, tile, sources)
 
         key = base.key, frame, tile

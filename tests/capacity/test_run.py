@@ -143,7 +143,11 @@ def test_workers_that_this_machine_does_not_hold_are_refused(
         run_study(data, tmp_path, tmp_path / "out", StudyOptions(scheduler, 3))
     assert refused.value.field == "--workers"
     assert not (tmp_path / "out").exists()
-    run_study(data, tmp_path, tmp_path / "out", StudyOptions(scheduler, 2))
+    free_mb = iter([2.5 * each_mb])  # and none, once they hold what they need
+    monkeypatch.setattr("pipeline.capacity.run.free_mb", lambda: next(free_mb, 0.0))
+    data["seeds"] = 2
+    report = run_study(data, tmp_path, tmp_path / "out", StudyOptions(scheduler, 2))
+    assert report["failed"] == 0
 
 
 def test_a_value_that_cannot_be_is_refused_before_any_point_is_begun(

@@ -61,10 +61,12 @@ def test_same_bits_as_each_point_alone(case, sweep_file, tmp_path):
     assert content_digest(tmp_path / "swept" / "cubes" / "0000001") == rows[1]["content_digest"]
 
 
-def test_what_a_point_may_err_by_stands_beside_its_time(sweep_file, tmp_path):
+@pytest.mark.parametrize("more", [{}, {"stars": None}], ids=["stars", "targets alone"])
+def test_what_a_point_may_err_by_stands_beside_its_time(more, sweep_file, tmp_path):
     """As in the plan of its scene alone, with what its product finds; more where it is allowed."""
     asked = [0.003, 0.3]
-    path = sweep_file([{"field": "accuracy.noise_fraction", "values": asked}], metrics=["timing"])
+    axis = {"field": "accuracy.noise_fraction", "values": asked}
+    path = sweep_file([axis], more, metrics=["timing"])
     rows = rows_of(path, tmp_path / "swept")
     for row, most in zip(rows, asked, strict=True):
         told = plan_scene(point_scene(path, row["point"]))["decisions"]
