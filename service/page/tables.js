@@ -2,6 +2,7 @@
 
 import { ask, json } from "./api.js";
 import { el, fill, notice, number, seconds } from "./dom.js";
+import { warnings } from "./submit.js";
 
 const table = (heads, rows) => el("div", { class: "scroll" }, el("table", { class: "figures" },
   el("thead", {}, el("tr", {}, heads.map((h) => el("th", {}, h)))), el("tbody", {}, rows)));
@@ -19,25 +20,29 @@ function sweepCard(report) {
   const rows = Object.entries(report.metrics).map(([name, s]) => el("tr", { "data-metric": name },
     el("td", {}, el("code", {}, name)), numbers([s.known, s.least, s.mean, s.largest])));
   const faults = Object.entries(report.messages).map(([text, n]) => el("li", {}, `${n} × `, el("code", {}, text)));
+  const doubts = Object.entries(report.doubts ?? {}).map(([text, n]) => `${n} × ${text}`);
   return [
+    warnings([...doubts, ...(report.warnings ?? [])]),
     el("p", {}, `${report.points} points over ${report.axes.join(", ")}: ${report.failed} failed, ${seconds(report.seconds)}.`),
     table(["metric", "known", "least", "mean", "largest"], rows),
     faults.length ? [el("h2", {}, "Failures"), el("ul", {}, faults)] : null];
 }
 
+const notesOf = ({ notes = [] }) => (notes.length ? el("ul", {}, notes.map((note) => el("li", {}, note))) : null);
+
 // What a study found; of one with axes, the figures of each point.
 function studyCard(report) {
   if (report.points) {
     const keys = Object.keys(report.points[0]);
-    return table(keys.map(named), report.points.map((p) => el("tr", { "data-point": p.point },
-      numbers(keys.map((key) => p[key])))));
+    const rows = report.points.map((p) => el("tr", { "data-point": p.point }, numbers(keys.map((key) => p[key]))));
+    return [table(keys.map(named), rows), notesOf(report)];
   }
   const f = report.figures;
   return [
     el("p", {}, `${f.objects} objects for ${number(report.hours)} h from ${report.start}: `
       + `${f.observations} observations, ${f.detections} detections of ${f.objects_detected} objects; `
       + `${number(100 * f.sensor_time_used, 3)} % of the sensors' time used, ${seconds(report.seconds)}.`),
-    report.notes.length ? el("ul", {}, report.notes.map((note) => el("li", {}, note))) : null,
+    notesOf(report),
     Object.entries(GROUPS).map(([group, word]) => table([word, ...Object.values(GAPS)],
       Object.entries(report[group]).map(([name, g]) => el("tr", { "data-group": name },
         el("td", {}, name), numbers(Object.keys(GAPS).map((key) => g[key]))))))];
