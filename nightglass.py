@@ -333,7 +333,7 @@ def study(
     Raises
     ------
     BadInput
-        For what cannot be run.
+        For what cannot be run; a point of its axes that cannot is a row with its message.
     Incomplete
         Where work ended early; what is finished is kept, and `resume=True` goes on.
     TryLater
