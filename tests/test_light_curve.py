@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import trimesh
+from matplotlib.figure import Figure
 
 from pipeline.errors import BadInput
 from pipeline.inputs.band.curves import solar_spectrum
@@ -94,6 +95,26 @@ def test_an_orbit_passes_through_the_shadow(tmp_path) -> None:
     for name, wanted in columns.items():
         np.testing.assert_allclose(read[name].to_numpy(), wanted, rtol=1e-12, err_msg=name)
     assert plot.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_plot_tells_what_the_earth_hides(tmp_path: Path, monkeypatch) -> None:
+    """A target that is behind the Earth some of the time: in grey, with a legend."""
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    far = SCENE["targets"][1] | {"orbit": LEO | {"position_m": [-6.9e6, 0, 0]}}
+    scene = parse_scene(SCENE | {"targets": [far]} | {"pointing": {
+        "mode": "sidereal", "boresight_ra_deg": 10.0, "boresight_dec_deg": 5.0}})  # fmt: skip
+    curve = light_curve(scene, "ball", BAND, stop_s=6000.0, points=61)
+    hidden = ~curve.above_horizon
+    assert 5 < hidden.sum() < 55
+    write_light_curves(iter([("ball", curve)]), tmp_path / "a.csv", tmp_path / "a.png")
+    (figure,) = drawn
+    seen, behind = figure.axes[0].lines
+    assert [t.get_text() for t in figure.axes[0].get_legend().get_texts()] == [
+        "seen", "behind the Earth"]  # fmt: skip
+    lit = np.isfinite(curve.mag_ab)
+    np.testing.assert_array_equal(np.isfinite(behind.get_ydata()), hidden & lit)
+    np.testing.assert_array_equal(np.isfinite(seen.get_ydata()), ~hidden & lit)
 
 
 def test_a_table_is_of_the_form_that_its_ending_names(tmp_path: Path) -> None:

@@ -92,7 +92,7 @@ def mean_elements(fields: JsonObject, key: str, field: str) -> JsonObject:
             raise BadInput(field, f"no {theirs} of {key}", f"an OMM with {theirs}")
         try:
             out[ours] = by_month(str(value).strip()) if ours == "epoch" else float(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise BadInput(field, f"{theirs} = {value} of {key}", "a number") from None
     return out
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 LARGEST_BYTES = 4_000_000_000
 LARGEST_TABLE_BYTES, MOST_ROWS = 256_000_000, 2_000_000
 LONGEST_LINE, LONGEST_OBJECT = 4096, 1 << 20
+HIGHEST_NUMBER = 1e9  # of a catalogue
 BATCH = 16_384
 SIZES = ("norad_id", "diameter_m", "albedo")  # columns of a table of them
 
@@ -142,7 +144,7 @@ def _from_omm(fields: JsonObject) -> ElementSet:
         given = fields.get("elements") or mean_elements(fields, name or number, "elements")
         elements = MeanElements.model_validate(given)
         satellite = mean_satellite(elements.model_dump(), "elements")
-        number_ = int(float(number))
+        number_ = _catalogue_number(number)
     except ValidationError as error:
         told = error.errors()[0]
         where = ".".join(str(part) for part in told["loc"])
@@ -151,6 +153,16 @@ def _from_omm(fields: JsonObject) -> ElementSet:
         return ElementSet(name, 0, None, None, shorten(str(error)))
     orbit = OmmOrbit.model_construct(kind="omm", path=None, object=None, elements=elements)
     return ElementSet(name, number_, orbit, satellite)
+
+
+def _catalogue_number(text: str) -> int:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (0.0 <= value <= HIGHEST_NUMBER and value == int(value)):
+        raise BadInput("NORAD_CAT_ID", text, "a whole number from 0 to 1e9")
+    return int(value)
 
 
 def _messages(path: Path, kind: str, field: str) -> Iterator[JsonObject]:
@@ -241,7 +253,7 @@ def _size(row: JsonObject, where: str, field: str) -> tuple[int, tuple[float | N
             raise BadInput(field, f"{where}: {key} = {text}", allowed)
         return value
 
-    which = number("norad_id", 0.0, 1e9, "a whole number from 0 to 1e9")
+    which = number("norad_id", 0.0, HIGHEST_NUMBER, "a whole number from 0 to 1e9")
     if which is None or which != int(which):
         raise BadInput(field, f"{where}: norad_id = {row.get('norad_id')}", "a whole number")
     diameter_m = number("diameter_m", 5e-324, 1e6, "above 0, up to 1e6 [m]")

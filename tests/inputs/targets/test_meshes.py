@@ -358,6 +358,11 @@ def test_a_polygon_that_crosses_itself_is_refused(tmp_path, last):
         read_mesh(write(tmp_path, prism([(0, 0), (2, 0), (0, 1), (2, last)], 0, "obj")), "m")
 
 
+def test_a_polygon_whose_halves_turn_either_way_is_refused(tmp_path):
+    with pytest.raises(BadInput, match="a face that crosses itself"):
+        read_mesh(write(tmp_path, prism([(0, 0), (1, 1), (1, 0), (0, 1)], 0, "obj")), "m")
+
+
 def test_a_star_drawn_in_one_line_is_refused(tmp_path):
     """Which goes round twice, so that no corner of it can be cut off."""
     star = [(0, 3), (2, -2), (-3, 1), (3, 1), (-2, -2)]

@@ -136,6 +136,7 @@ def test_a_table_is_made_the_same_both_ways():
         ([0.5, 0.0], np.full((2, 2, 1), 0.1), "rise"),
         ([0.0, 3.0], np.full((2, 2, 1), 0.1), "<= 90"),
         ([0.0, 0.5], np.full((2, 3, 1), 0.1), "direction"),
+        ([], np.full((0, 0, 1), 0.1), "rise"),
     ],
 )
 def test_bad_tables_are_refused(t, value, word):

@@ -242,6 +242,8 @@ def test_limits_star_at_60_degrees_is_not_folded_in() -> None:
         ({"kind": "tpv", "pv1": {1: -1.0}, "pv2": {}}, "slope of -1"),
         ({"kind": "tpv", "pv1": {}, "pv2": {1: 0.01}}, "slope of 0.01"),
         ({"kind": "radial", "k1": -200.0, "k2": 0, "k3": 0, "p1": 0, "p2": 0}, "towards pixel"),
+        ({"kind": "radial", "k1": -0.0262, "k2": 3.3e-4, "k3": 0, "p1": 0, "p2": 0,
+          "reference_px": (69000.0, 750.0)}, "light that does not reach the frame's edge"),
     ],
 )
 def test_limits_folds_are_refused(wish: dict, where: str) -> None:

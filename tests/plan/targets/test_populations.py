@@ -220,6 +220,52 @@ def test_json_is_read_in_parts(
         list(population_files.element_sets(tmp_path / "a.json", "f"))
 
 
+@pytest.mark.parametrize("number", ["inf", "nan", "1e30", "-5", "5.5", "T0001"])
+def test_a_catalogue_number_that_cannot_be_is_told(
+    number: str, lines: list[list[str]], tmp_path: Path
+) -> None:
+    """The set is unreadable; the others of the file are used."""
+    sets = [exporter.export_omm(Satrec.twoline2rv(a, b), name) for name, a, b in lines[:2]]
+    sets[0]["NORAD_CAT_ID"] = number
+    (tmp_path / "a.json").write_text(json.dumps(sets))
+    [[bad, good]] = population_files.element_sets(tmp_path / "a.json", "f")
+    assert (bad.orbit, good.orbit is not None) == (None, True)
+    assert f"NORAD_CAT_ID: {number!r} is not accepted; allowed: a whole number" in bad.fault
+
+
+def test_an_element_too_large_for_any_number_is_told(
+    lines: list[list[str]], tmp_path: Path
+) -> None:
+    name, a, b = lines[0]
+    omm = exporter.export_omm(Satrec.twoline2rv(a, b), name) | {"MEAN_MOTION": 10**400}
+    (tmp_path / "a.json").write_text(json.dumps([omm]))
+    [[found]] = population_files.element_sets(tmp_path / "a.json", "f")
+    assert "elements: 'MEAN_MOTION = 1000" in found.fault
+    assert "allowed: a number" in found.fault
+
+
+@pytest.mark.parametrize("bad", [b"caf\xe9", b'"' + b"x" * 200_000], ids=["latin-1", "no end"])
+def test_a_csv_file_that_is_no_text_is_refused(
+    bad: bytes, lines: list[list[str]], tmp_path: Path
+) -> None:
+    omm = exporter.export_omm(Satrec.twoline2rv(*lines[0][1:]), "A")
+    head, row = ",".join(omm), ",".join(map(str, omm.values()))
+    (tmp_path / "a.csv").write_bytes(f"{head}\n{row}\n".encode() + bad)
+    with pytest.raises(BadInput, match=r"f: 'a\.csv' .* OMM as CSV or JSON \(UTF-8\); "):
+        list(population_files.element_sets(tmp_path / "a.csv", "f"))
+
+
+def test_a_table_of_sizes_of_too_many_rows_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(population_files, "MOST_ROWS", 2)
+    (tmp_path / "sizes.csv").write_text("norad_id,albedo\n1,0.1\n2,0.1\n")
+    assert len(population_files.read_sizes(tmp_path / "sizes.csv", "sizes")) == 2
+    (tmp_path / "sizes.csv").write_text("norad_id,albedo\n1,0.1\n2,0.1\n3,0.1\n")
+    with pytest.raises(BadInput, match=r"sizes: 'sizes\.csv' is not .* at most 2 rows"):
+        population_files.read_sizes(tmp_path / "sizes.csv", "sizes")
+
+
 def test_sizes_by_rule_and_table(tle: Path, tmp_path: Path) -> None:
     names = sorted(kept(scene(tle)))
     number = int(names[0].rpartition("-")[2])
