@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 
 import pipeline.execute.blocks
+import pipeline.execute.tables
 import pipeline.execute.tile
 import pipeline.plan.response.responses
 from catalog_tools.ingest.ingest import ingest
@@ -107,6 +109,20 @@ def test_engines_agree_within_their_bounds(psf, streak, catalogue, tmp_path, mon
     assert (np.abs(stamps - together) / noise).max() <= 2.0 * bound / 5.0
     assert together.sum() == pytest.approx(stamps.sum(), rel=1e-5)
     assert report["errors"]["achieved_error_sigma"] <= 0.05
+
+
+def test_stars_are_drawn_one_by_one_where_no_grid_serves(catalogue, tmp_path, monkeypatch):
+    """Here as a grid may take no memory."""
+    none = partial(pipeline.execute.tables.plan_spectral, most_bytes=1.0)
+    monkeypatch.setattr(pipeline.execute.tables, "plan_spectral", none)
+    found = []
+    for least in (0, 1):
+        monkeypatch.setattr(
+            pipeline.plan.response.responses, "_spectral_from", lambda *_, n=least: n
+        )
+        found.append(stars_of(scene(catalogue, GAUSS, 7.0), tmp_path / str(least))[0])
+    assert found[0].sum() > 5e5
+    assert np.array_equal(*found)
 
 
 @pytest.mark.slow

@@ -225,6 +225,27 @@ def test_every_engine_gives_the_same_light(light, psf, monkeypatch):
     assert bool(served) == (light < 3e8 or psf is GAUSSIAN)
 
 
+def test_a_table_that_errs_too_much_for_a_star_draws_none_of_it():
+    """A star of 3e5 electrons as points of a table at rest, or along its own path."""
+    plan = plan_of(20.0, 64, 64, GAUSSIAN)
+    g, one = plan_geometry(plan.scene, np.zeros(1, int), 0.0), np.ones(1)
+    stars = FrameStars(
+        np.zeros(1, int), 30.0 * one, 31.0 * one, 3e5 * one, 0.0 * one, 0.0 * one, 0.0 * one,
+        np.zeros(1, np.uint8), np.zeros(1, np.uint8), one,
+    )  # fmt: skip
+
+    def image(points: int, error: float) -> Any:
+        ways = {"phases": 0, "fine_phases": 0, "point_phases": points, "point_error": error}
+        classes = tuple(replace(c, **ways) for c in plan.responses.classes)
+        drawn = replace(plan, responses=replace(plan.responses, classes=classes))
+        return draw_stars(drawn, g, Tile(0, 0, 0, 0, 64, 64), [stars], [])
+
+    alone = image(0, 0.0)
+    assert alone.sum() == pytest.approx(3e5, rel=1e-3)
+    assert np.array_equal(image(64, 1e-2), alone)
+    assert not np.array_equal(image(64, 1e-9), alone)
+
+
 @pytest.mark.parametrize("streak_px", [30.0, 150.0])
 def test_bright_streaks_in_more_pieces_have_the_light_of_their_own_paths(streak_px):
     """Up to the light from which their own path would show, and cheaper where they are many."""

@@ -152,6 +152,24 @@ def test_metrics_of_what_is_never_seen_are_empty(sweep_file, tmp_path):
     assert (gone["peak_sigma.ball"], gone["detected_fraction.ball"]) == (None, None)
 
 
+def test_a_sky_without_sources_and_a_streak_that_noise_hides_have_no_limit(sweep_file, tmp_path):
+    """Of 200 px, in a noise in which 1e12 electrons are lost and of which 1e-4 shows."""
+    hidden = {
+        "sensor.psf": {"kind": "gaussian", "sigma_px": 50.0}, "sensor.aperture_m": 1.0,
+        "sensor.read_noise_e": 1e9, "accuracy": {"noise_fraction": 1e-4}, "targets": [],
+        "sensor.shape": [64, 64], "exposure.frames": 1, "output": {},
+        "pointing.mode": "rate", "pointing.rate_ra_arcsec_s": 800.0,
+        "pointing.rate_dec_arcsec_s": 0.0, "accept": ["coverage", "sun", "moon"],
+    }  # fmt: skip
+    for name, changes in {"dark": {"stars": None, "targets": []}, "hidden": hidden}.items():
+        axes = [{"field": "sensor.bias_dn", "values": [300]}]
+        path = sweep_file(axes, changes, metrics=["limiting_magnitude", "background"])
+        sweep(path, tmp_path / name, Options("synchronous"))
+        [row] = table(tmp_path / name).to_pylist()
+        assert (row["status"], row["noise_floor_e"] > 5.0) == ("done", True)
+        assert (row["limiting_light_e"], row["limiting_g_mag"]) == (None, None)
+
+
 def test_metrics_take_each_frames_own_time(sweep_file, tmp_path):
     """Frames of 0.5 and 2 s: every metric is that of its own frame, as of scenes of one time."""
     plain = {"background.uniform_mag_arcsec2": None, "background.uniform_e_per_s": 30.0,
