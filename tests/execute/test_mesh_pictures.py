@@ -111,6 +111,26 @@ def test_same_bits_and_small_ones_are_points(files: Path, tmp_path: Path) -> Non
     assert small.sum() == pytest.approx(truth["electrons"], rel=1e-4)
 
 
+def test_what_only_the_earth_lights_is_a_point_and_the_plan_says_so(
+    files: Path, tmp_path: Path
+) -> None:
+    """A flag of 25 px that turns its front to the Earth and the observer, its back to the Sun."""
+    flag = mesh(files / "flag.stl", surface={"kind": "lambert", "albedo": 0.2}, attitude={
+        "kind": "inertial", "quaternion": [-0.38268343, 0.0, 0.0, 0.92387953]})  # fmt: skip
+    data = large(flag)
+    data["targets"][0]["lighting"] = {"earthshine_albedo": 0.3}
+    render(parse_scene(data), tmp_path / "run", Options("synchronous"))
+    [truth] = pq.read_table(tmp_path / "run" / "truth" / "targets.parquet").to_pylist()
+    found = open_cube(tmp_path / "run")["targets_e"].values[0].astype(float)
+    assert truth["radius_px"] > 20.0
+    assert truth["electrons"] > 10.0
+    assert found.sum() == pytest.approx(truth["electrons"], rel=2e-3)
+    rows, columns = np.nonzero(found > 0.01 * found.max())
+    assert np.hypot(rows - truth["y_px"], columns - truth["x_px"]).max() < 3.0
+    reasons = {d["component"]: d["reason"] for d in plan_scene(parse_scene(data))["decisions"]}
+    assert "where there is none, as a point" in reasons["targets.earthshine_on_meshes"]
+
+
 def test_plan_says_how_meshes_are_drawn(files: Path) -> None:
     data = scene(400.0, PSF).as_dict()
     data["targets"][0]["body"] = mesh(files / "flag.stl", attitude={

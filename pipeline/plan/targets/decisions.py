@@ -183,7 +183,7 @@ def _earthshine_on_meshes(basis: PlanBasis) -> Iterator[Decision]:
         "at most 1024 parts traced (highlights and shadows finer than 1/32 of the Earth's disc "
         "may be resolved less well). Straight lines in time, off by at most "
         "3e-4 of earthshine. A body larger than a point is drawn with the picture that it has in "
-        "sunlight, its brightness with earthshine",
+        "sunlight or, where there is none, as a point; its brightness with earthshine",
         bound=share,
         unit="of the light",
     )
