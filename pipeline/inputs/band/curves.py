@@ -210,9 +210,11 @@ def named_filter(name: str) -> ResponseCurve:
     text = _filter_text(name)
     body = [line.split() for line in text.splitlines() if line and not line.startswith("#")][1:]
     unit = re.search(r"^#.*?unit: ['\"]?(Angstrom|nm|um|micron)\b", text, re.MULTILINE)
-    if unit is None or any(len(row) != 2 for row in body):
+    sound = all(len(row) == 2 and all(map(_is_number, row)) for row in body)
+    if unit is None or not body or not sound:
         raise Damaged(
-            str(filter_folder() / f"{name}.ecsv"), "no wavelength unit or not two columns"
+            str(filter_folder() / f"{name}.ecsv"),
+            "no wavelength unit, or not two columns of finite numbers",
         )
     table = np.array(body, dtype=np.float64)
     metres = {"Angstrom": 1e-10, "nm": 1e-9, "um": 1e-6, "micron": 1e-6}[unit[1]]

@@ -133,6 +133,26 @@ def test_named_filters_need_speclite(monkeypatch):
     )
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("unit: Angstrom", "unit: furlong"),
+        ("\n5000 0.5", "\n5000 0.5 0.1"),
+        ("\n5000 0.5", "\n5000 half"),
+        ("\n4000 0.0\n5000 0.5\n6000 0.0", ""),
+    ],
+)
+def test_a_damaged_filter_of_speclite_is_told(old, new, tmp_path, monkeypatch):
+    text = "# %ECSV 0.9\n# - {name: wavelength, unit: Angstrom}\nwavelength response\n"
+    text += "4000 0.0\n5000 0.5\n6000 0.0\n"
+    monkeypatch.setattr(curves, "filter_folder", lambda: tmp_path)
+    (tmp_path / "mine-V.ecsv").write_text(text)
+    assert curves.named_filter("mine-V").value.tolist() == [0.0, 0.5, 0.0]
+    (tmp_path / "mine-V.ecsv").write_text(text.replace(old, new))
+    with pytest.raises(Damaged, match=r"mine-V\.ecsv.*no wavelength unit, or not two columns"):
+        curves.named_filter("mine-V")
+
+
 def test_against_every_filter_that_speclite_carries():
     for path in curves.filter_folder().glob("*.ecsv"):
         curve = curves.named_filter(path.stem)

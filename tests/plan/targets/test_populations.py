@@ -220,6 +220,17 @@ def test_json_is_read_in_parts(
         list(population_files.element_sets(tmp_path / "a.json", "f"))
 
 
+def test_more_objects_in_the_field_than_may_be_are_refused(
+    tle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    many = len(kept(scene(tle)))
+    monkeypatch.setattr("pipeline.plan.targets.populations.MOST_TARGETS", many - 1)
+    with pytest.raises(BadInput) as told:
+        kept(scene(tle))
+    assert f"populations.0.path: '{many} objects that cross the field'" in str(told.value)
+    assert f"at most {many - 1}: a smaller field, a shorter dwell" in str(told.value)
+
+
 @pytest.mark.parametrize("number", ["inf", "nan", "1e30", "-5", "5.5", "T0001"])
 def test_a_catalogue_number_that_cannot_be_is_told(
     number: str, lines: list[list[str]], tmp_path: Path
