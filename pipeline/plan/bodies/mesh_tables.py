@@ -99,9 +99,17 @@ def decide_tables(scene: Scene) -> list[Decision]:
         if not isinstance(body, MeshBody) or moments_wanted(scene, body) < WORTH:
             continue
         wanted = moments_wanted(scene, body)
-        table = KEPT.get(_key(scene, index, *_span(scene), wanted))
+        key = _key(scene, index, *_span(scene), wanted)
+        table = KEPT.get(key)
         bound = None if table is None else table.worst if len(table.values) > 1 else table.error
-        if table is None:
+        dropped = key not in KEPT and len(KEPT) >= MOST_KEPT
+        if dropped:
+            bound = 2.0 * (body.error or 0.0)
+            why = (
+                f"{target.name}: not kept beside {MOST_KEPT} others; where a table serves, it is "
+                "worked out again for each window of frames"
+            )
+        elif table is None:
             why = (
                 f"{target.name}: none within a third of the about {wanted} moments that the frames "
                 f"need and {2.0 * (body.error or 0.0):.2g} of the light, or more than one part "
@@ -123,7 +131,8 @@ def decide_tables(scene: Scene) -> list[Decision]:
                 "light, or of a tenth of the brightest where it is fainter"
             )
         unit = "of the brightest light"
-        out.append(Decision("targets.light_table", table is not None, why, bound=bound, unit=unit))
+        used = dropped or table is not None
+        out.append(Decision("targets.light_table", used, why, bound=bound, unit=unit))
     return out
 
 

@@ -181,6 +181,23 @@ def test_a_table_is_kept_for_all_that_it_follows_from(tmp_path: Path, monkeypatc
     assert tables() == found
 
 
+def test_the_oldest_table_makes_room_and_the_plan_does_not_say_that_there_is_none(
+    tmp_path: Path, monkeypatch: Any
+) -> None:
+    monkeypatch.setattr(mesh_tables, "MOST_KEPT", 1)
+    monkeypatch.setattr(mesh_tables, "WORTH", 0)
+    scene, first = scene_of(tmp_path, None, 3), np.arange(3)
+    light = plan_geometry(scene, first, 0.0).target_light
+    [told] = decide_tables(scene)
+    assert "each frame works out its own light" in told.reason
+    plan_geometry(scene_of(tmp_path, None, 4), first, 0.0)
+    assert len(mesh_tables.KEPT) == 1
+    [told] = decide_tables(scene)
+    assert "not kept beside 1 others" in told.reason
+    assert (told.kept, told.bound) == (True, 2.0 * scene.targets[0].body.error)
+    np.testing.assert_array_equal(plan_geometry(scene, first, 0.0).target_light, light)
+
+
 def test_few_frames_need_none(tmp_path: Path) -> None:
     scene = scene_of(tmp_path, WORK["spin"], 10)
     plan_geometry(scene, np.arange(10), 0.0)
