@@ -198,6 +198,17 @@ def test_the_oldest_table_makes_room_and_the_plan_does_not_say_that_there_is_non
     np.testing.assert_array_equal(plan_geometry(scene, first, 0.0).target_light, light)
 
 
+@pytest.mark.parametrize(("offset_s", "served"), [(-0.1, 0), (0.0, 1), (899.5, 1), (899.6, 0)])
+def test_moments_outside_of_the_exposures_have_no_table(
+    offset_s: float, served: int, tmp_path: Path, monkeypatch: Any
+) -> None:
+    monkeypatch.setattr(mesh_tables, "tabulated", lambda *_: "a table")
+    monkeypatch.setattr(mesh_tables, "_turns_s", lambda *_: ())
+    scene = scene_of(tmp_path, WORK["none"], 900)
+    at: Any = SimpleNamespace(offset_s=np.array([5.0, offset_s]), elsewhere=len)
+    assert (mesh_tables.table_of(scene, 0, at) is not None) == bool(served)
+
+
 def test_few_frames_need_none(tmp_path: Path) -> None:
     scene = scene_of(tmp_path, WORK["spin"], 10)
     plan_geometry(scene, np.arange(10), 0.0)
