@@ -24,11 +24,12 @@ from pipeline.plan.timing import frame_count, integration_s
 from pipeline.spec.load import parse_scene, parse_yaml
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
-from pipeline.store.cube import CubeWriter, finish_cube, open_raw_cube, read_layer
+from pipeline.store.cube import CubeWriter, check_complete, finish_cube, open_raw_cube, read_layer
 from pipeline.store.product import (
     begin_copy,
     check_same_images,
     content_digest,
+    finished_faults,
     seal,
     tiles_of,
 )
@@ -47,6 +48,7 @@ def calibrate(product: Path, output: Path) -> JsonObject:
     that the scene names, and generated patterns drawn again from its seed. Raises BadInput for a
     path that exists or a file that is gone or has changed, Incomplete and Damaged for the product.
     """
+    _check_copied(product)
     cube = open_raw_cube(product)
     check_new(output)
     scene = parse_scene(parse_yaml(str(cube.attrs["scene"]), f"{product}: scene"))
@@ -65,6 +67,14 @@ def calibrate(product: Path, output: Path) -> JsonObject:
     return report
 
 
+def _check_copied(product: Path) -> None:
+    """Raise Damaged where the copy would take over, and seal as whole, what is not as written."""
+    check_complete(product)
+    faults = [text for text in finished_faults(product) if not text.startswith(layout.PREVIEW)]
+    if faults:
+        raise Damaged(str(product), "; ".join(faults[:3]))
+
+
 def _write(
     product: Path, output: Path, cube: xr.Dataset, scene: Scene, maps: SensorMaps
 ) -> JsonObject:
@@ -79,7 +89,7 @@ def _write(
     finish_cube(output, coordinates, dict(cube.attrs) | {"calibrated": True})
     picture = frame_picture(output, 0, mark=bool(scene.targets), layer=LAYER)
     layout.write_atomically(output / layout.PREVIEW, png_bytes(picture))
-    report = _stored_report(product) | {
+    report = json.loads((product / layout.REPORT).read_text()) | {
         "content_digest": content_digest(output),
         "calibrated_from": str(product),
         "masked_pixels": int(max(masked, default=0)),
@@ -108,10 +118,3 @@ def _stored(product: Path, name: str) -> tuple[tuple[str, ...], np.ndarray, Json
     array = zarr.open_array(product / layout.CUBE / name, mode="r")
     dimensions = tuple(str(d) for d in getattr(array.metadata, "dimension_names", None) or ())
     return dimensions, np.asarray(array[...]), dict(array.attrs)
-
-
-def _stored_report(product: Path) -> JsonObject:
-    try:
-        return json.loads((product / layout.REPORT).read_text())
-    except (OSError, ValueError) as error:
-        raise Damaged(str(product / layout.REPORT), f"not what was written ({error})") from None

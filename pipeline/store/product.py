@@ -387,17 +387,17 @@ def check(path: Path, fault_of_tile: Callable[[Path, Path], str | None] | None =
     missing = verdict.tiles_expected - verdict.tiles - len(verdict.faults)
     if missing > 0:
         verdict.faults.append(f"{layout.MARKERS}: {missing} markers are missing")
-    verdict.faults += _finished_faults(path)
+    verdict.faults += finished_faults(path)
     return verdict
 
 
 def is_sealed(begun: Begun, tiles: int) -> bool:
     """Whether a product taken up is complete: sealed, its `tiles` whole, and all sealed files."""
     sealed = (begun.path / layout.COMPLETE).is_file()
-    return sealed and len(begun.done) == tiles and not _finished_faults(begun.path)
+    return sealed and len(begun.done) == tiles and not finished_faults(begun.path)
 
 
-def _finished_faults(path: Path) -> list[str]:
+def finished_faults(path: Path) -> list[str]:
     """Damage to what `finish` wrote: files named in _COMPLETE with length and digest."""
     try:
         sealed = json.loads((path / layout.COMPLETE).read_text())

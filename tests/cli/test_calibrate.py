@@ -14,6 +14,7 @@ from astropy.io import fits
 
 from pipeline.store.cube import open_cube
 from pipeline.store.layout import LONG_NAMES
+from pipeline.store.product import seal
 from tests.command import nightglass
 
 SCENE = {
@@ -142,12 +143,28 @@ def test_another_image_than_the_product_was_rendered_with_is_refused(product, tm
         begun = json.loads((older / ".begun.json").read_text())
         del begun["images_sha256"]
         (older / ".begun.json").write_text(json.dumps(begun))
+        seal(older, json.loads((older / "report.json").read_text())["content_digest"])
         assert nightglass("calibrate", older, "-o", tmp_path / "other").returncode == 0
     finally:
         file.write_bytes(was)
     assert done.returncode == 2
     assert str(file) in done.stderr
     assert f"sensor.{name}" in done.stderr
+    assert not (tmp_path / "copy").exists()
+
+
+@pytest.mark.parametrize("name", ["report.json", "truth/pixels.parquet", "cube.zarr/zarr.json"])
+def test_what_is_damaged_is_not_copied_and_sealed_as_whole(product, tmp_path, name):
+    """The file is told; a preview that is gone is drawn anew."""
+    damaged = tmp_path / "run"
+    shutil.copytree(product, damaged)
+    (damaged / "preview.png").unlink()
+    assert nightglass("calibrate", damaged, "-o", tmp_path / "whole").returncode == 0
+    (damaged / name).write_text("{}")
+    done = nightglass("calibrate", damaged, "-o", tmp_path / "copy")
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"nightglass: {damaged}: damaged: ")
+    assert f"{name}: the digest differs" in done.stderr
     assert not (tmp_path / "copy").exists()
 
 
