@@ -33,6 +33,7 @@ _COLUMNS = (
     "electrons",
     "snr",
 )
+_LATER = ("g_mag", "v_mag", "mag_ab", "radius_px", "visible_fraction")
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class Labels:
     snr : matched filter; g_mag : of stars, NaN for targets; v_mag, mag_ab : of targets, NaN for
     stars (V of Vega's system, AB in the sensor's band); radius_px : of bodies with a disc
     object_name : what a catalogue calls a target; a star's catalogue id
+    visible_fraction : the part of the exposure in which nothing hides it
     """
 
     kind: NDArray[np.int64]
@@ -68,6 +70,7 @@ class Labels:
     mag_ab: Array
     radius_px: Array
     object_name: NDArray[np.str_]
+    visible_fraction: Array
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -88,6 +91,18 @@ class Labels:
     def magnitude(self) -> Array:
         """G of stars, V of targets."""
         return np.where(self.kind == STAR, self.g_mag, self.v_mag)
+
+    def path_px(self, i: int) -> tuple[Array, Array, Array]:
+        """Start, middle and end (x, y) of the path that one sends light from.
+
+        Of one that is hidden for a part of the exposure the place at mid-exposure need not lie on
+        it: it is straight.
+        """
+        start, middle, end = (
+            np.array([getattr(self, f"{axis}{which}_px")[i] for axis in "xy"])
+            for which in ("_start", "", "_end")
+        )
+        return start, middle if self.visible_fraction[i] >= 1.0 else 0.5 * (start + end), end
 
     def take(self, index: object) -> Labels:
         """Some of them."""
@@ -147,10 +162,9 @@ def _part(path: Path, kind: int, frame: int, shape: tuple[int, int], least_snr: 
         kind=np.full(n, kind, np.int64),
         name=got[names[0]][kept].astype("U64"),
         object_name=got["object_name"][kept].astype("U80"),
-        **{c: got[c][kept].astype(float) for c in ("g_mag", "v_mag", "mag_ab", "radius_px")},
-        **{c: got[c][kept].astype(float) for c in _COLUMNS},
+        **{c: got[c][kept].astype(float) for c in (*_COLUMNS, *_LATER)},
     )
-    return labels.take(_crosses(labels, shape, got["visible_fraction"][kept] >= 1.0))
+    return labels.take(_crosses(labels, shape, labels.visible_fraction >= 1.0))
 
 
 def _crosses(

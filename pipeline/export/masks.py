@@ -57,13 +57,10 @@ def source_masks(
     path, evenly lit (export/response.py); a body of more than FULL_DISC px is a full disc.
     """
     for i in range(len(labels)):
-        ends = [
-            np.array([getattr(labels, f"x{w}_px")[i], getattr(labels, f"y{w}_px")[i]])
-            for w in ("_start", "", "_end")
-        ]
-        path = path_between(*ends)
+        start, middle, end = labels.path_px(i)
+        path = path_between(start, middle, end)
         e = float(labels.electrons[i])
-        y0, x0, image = light.image(path, ends[1][0], ends[1][1], e, threshold_e)
+        y0, x0, image = light.image(path, middle[0], middle[1], e, threshold_e)
         if labels.radius_px[i] > FULL_DISC:
             y0, x0, image = _as_disc(y0, x0, image, float(labels.radius_px[i]))
         yield _cut(y0, x0, image, shape, threshold_e)

@@ -50,8 +50,9 @@ def _object(
     }
     around_px = pad_px + float(labels.radius_px[i])
     box: dict[str, float] = {}
-    for axis, side, size in (("y", rows, "height"), ("x", columns, "width")):
-        ends = [at[f"{axis}_{w}"] for w in ("start", "mid", "end")]
+    path = np.transpose(labels.path_px(i))
+    for axis, side, size, px in zip("yx", shape, ("height", "width"), path[::-1], strict=True):
+        ends = [(float(place) + 0.5) / side for place in px]
         box |= {f"{axis}_min": min(ends), f"{axis}_max": max(ends)}
         box[f"{axis}_center"] = 0.5 * (min(ends) + max(ends))
         box[f"bbox_{size}"] = max(ends) - min(ends) + 2.0 * around_px / side

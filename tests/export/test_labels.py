@@ -11,7 +11,11 @@ import pytest
 
 from pipeline.export.formats import ExportRequest, export_product
 from pipeline.export.labels import frame_labels
-from pipeline.export.response import path_between
+from pipeline.export.masks import source_masks
+from pipeline.export.response import SourceLight, path_between
+from pipeline.export.satnet import annotation
+from pipeline.export.times import ExposureTimes
+from pipeline.physics.psf.pupil import Blur, Gaussian
 from pipeline.store.cube import read_layer
 
 SHAPE = 100, 300  # rows, columns
@@ -126,3 +130,23 @@ def test_arcs_follow_even_turns_to_a_tenth_of_a_pixel():
     waits = path_between(np.zeros(2), np.zeros(2), np.array([40.0, 30.0]))
     assert np.hypot(waits.x_px[-1], waits.y_px[-1]) == pytest.approx(50.0, abs=0.2)
     assert path_between(*np.full((3, 2), 5.0)).segments == 1
+
+
+def test_the_mask_and_box_of_what_hides_midway_end_where_it_does(tmp_path):
+    """30 of 100 px are seen of a path whose middle is hidden; of another all is seen."""
+    labels_of(tmp_path, [((50, 40), (80, 40)), ((50, 60), (150, 60))])
+    table = pq.read_table(tmp_path / "truth" / "targets.parquet").to_pydict()
+    table |= {"x_px": [100.0, 100.0], "visible_fraction": [0.3, 1.0], "electrons": [1e5, 1e5]}
+    pq.write_table(pa.table(table), tmp_path / "truth" / "targets.parquet")
+    labels = frame_labels(tmp_path, 0, SHAPE)
+    boxes = [m.box for m in source_masks(labels, SourceLight(Blur(Gaussian(0.5))), SHAPE, 1e3)]
+    for (row, column, height, width), y, last in zip(boxes, (40, 60), (80, 150), strict=True):
+        assert abs(row + (height - 1) / 2 - y) <= 1
+        assert abs(column - 50) <= 2
+        assert abs(column + width - 1 - last) <= 2
+    times = ExposureTimes(*[np.datetime64("2020-01-01T00:00:00", "us")] * 3, 1.0)
+    part, whole = annotation(labels, times, SHAPE, 0.01, {}, 0.0)["data"]["objects"]
+    assert part["x_mid"] == whole["x_mid"] == 100.5 / 300  # told all the same
+    assert (part["x_min"], part["x_max"]) == (50.5 / 300, 80.5 / 300)
+    assert (whole["x_min"], whole["x_max"]) == (50.5 / 300, 150.5 / 300)
+    assert part["bbox_width"] == pytest.approx(0.1)
