@@ -90,8 +90,6 @@ def paint(labels: Labels, masks: Iterator[Mask], shape: tuple[int, int]) -> NDAr
     """Every pixel's source: the number of the label from 1, 0 for none; the brightest wins."""
     owner, most = np.zeros(shape, np.int32), np.zeros(shape)
     for number, mask in enumerate(masks, start=1):
-        if not mask.pixels.size:
-            continue
         at = np.s_[
             mask.y0 : mask.y0 + mask.pixels.shape[0], mask.x0 : mask.x0 + mask.pixels.shape[1]
         ]

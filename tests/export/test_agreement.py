@@ -129,6 +129,18 @@ def test_a_path_through_three_places_bends_their_way() -> None:
     assert path_between(start, 0.5 * (start + end), end).segments == 1
 
 
+def test_many_unlike_streaks_are_each_drawn_as_alone() -> None:
+    """Of six hundred, more than are remembered, the first is drawn again as it was."""
+    drawn, bits = SourceLight(Blur(Gaussian(0.7))), []
+    for n in (*range(600), 0, 599):
+        end = np.array([n % 30, n // 30]) * STEP_PX
+        row, column, light = drawn.image(path_between(-end, 0 * end, end), 9.0, 9.0, 100.0, 1.0)
+        bits.append((row, column, light.shape, light.tobytes()))
+        assert light.sum() == pytest.approx(100.0, rel=1e-3)
+    assert bits[-2:] == [bits[0], bits[599]]
+    assert len(set(bits)) == 600
+
+
 def test_light_of_a_field_is_that_of_its_place() -> None:
     """Its second moments: shares of the four responses around a place, by rows and by columns, each
     of its sigma and a pixel's 1/12."""

@@ -377,6 +377,18 @@ def test_masks_of_faint_sources_discs_and_overlaps(tmp_path):
     assert found.tolist() == [[1, 1, 2]]
 
 
+def test_a_source_whose_pixels_all_lie_beyond_the_frame_has_no_annotation():
+    """Its light within is less than half of its brightest pixel's; no other label's number moves"""
+    labels = three_labels()
+    light = np.array([[9.0, 4.0, 1.0]])
+    beyond, away = (_cut(1, x, light, (4, 6), 100.0) for x in (-1, 6))
+    assert annotation(1, 1, labels, 0, beyond, (4, 6)) is None
+    assert not away.pixels.size
+    inside = Mask(1, 1, np.full((1, 2), 3.0), np.ones((1, 2), bool))
+    owner = paint(labels, iter([beyond, away, inside]), (4, 6))
+    assert owner.tolist() == [[0] * 6, [0, 3, 3, 0, 0, 0], [0] * 6, [0] * 6]
+
+
 def test_satnet_names_its_image_and_holds_nine_tenths_of_a_point(labelled, tmp_path):
     """90% of a Gaussian's light lie within sigma sqrt(2 ln 10), wider by the pixel's own 1/12."""
     *_, path = export_product(labelled, "satnet", tmp_path / "set", ExportRequest(1))

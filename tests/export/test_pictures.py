@@ -97,6 +97,15 @@ def test_a_picture_is_of_the_layer_that_is_asked_for(slope):
     assert bare[:, 0].mean() > bare[:, -1].mean()
 
 
+def test_a_product_without_targets_has_none_marked(slope):
+    """Its cosmic rays are, and nothing of another colour."""
+    (slope / "truth" / "targets.parquet").unlink()
+    marked = np.asarray(frame_picture(slope))
+    changed = (marked != np.asarray(frame_picture(slope, mark=False))).any(axis=-1)
+    assert changed.any()
+    assert (marked[changed] == CYAN).all()
+
+
 def test_marks_lie_about_what_they_mark(slope):
     """A circle of 12 px about the target; an ellipse as long as the track and 8 px more on each
     side about the rays, of the sixty with the most charge."""
