@@ -243,13 +243,24 @@ def check_complete(product: Path) -> None:
 
 
 def read_layer(product: Path, name: str, frame: int) -> np.ndarray:
-    """One frame of one layer; Damaged where a chunk does not match its checksum."""
+    """One frame of one layer; Damaged where a chunk is lost or does not match its checksum."""
     try:
-        return np.asarray(_open_array(product / CUBE / name)[frame])
+        array = _open_array(product / CUBE / name)
+        _check_chunks(product / CUBE / name / "c" / str(frame // array.chunks[0]), array)
+        return np.asarray(array[frame])
     except FileNotFoundError as error:
         raise Damaged(f"{CUBE}/{name}", str(error)) from None
     except (ValueError, RuntimeError) as error:
         raise Damaged(f"{CUBE}/{name}", f"frame {frame}: {error}") from None
+
+
+def _check_chunks(folder: Path, array: zarr.Array) -> None:
+    """Raise FileNotFoundError where a frame lacks a chunk: Zarr reads zeros in its place."""
+    counts = (-(-n // t) for n, t in zip(array.shape[1:], array.chunks[1:], strict=True))
+    for row, column in np.ndindex(*counts):
+        chunk = folder / str(row) / str(column)
+        if not chunk.is_file():
+            raise FileNotFoundError(f"{chunk} does not exist")
 
 
 def _open_array(path: Path) -> zarr.Array:

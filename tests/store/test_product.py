@@ -23,6 +23,7 @@ import zarr
 
 from pipeline.calibrate import calibrate
 from pipeline.errors import BadInput, Damaged, DiskFull, Incomplete, TryLater
+from pipeline.export.files import export_frames
 from pipeline.plan.tiles import cut_up
 from pipeline.route.run import Options, render
 from pipeline.route.shares import Share
@@ -136,6 +137,22 @@ def test_every_flipped_bit_is_named(product, layer):
         assert any(f"{layer}/c/1/0/1" in fault for fault in verdict.faults)
         with contextlib.suppress(Damaged):
             assert np.array_equal(read_layer(product, layer, 1), good)
+
+
+@pytest.mark.parametrize("lost", ["dn/c/1/0/1", "dn/c/1/0", "dn/zarr.json", "dn"])
+def test_what_is_lost_of_a_layer_is_never_read_as_zeros(product, tmp_path, lost):
+    """Nor exported or calibrated; the other frame of a layer that lacks a chunk is read."""
+    path = product / "cube.zarr" / lost
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    with pytest.raises(Damaged, match=r"cube\.zarr/dn: damaged: ") as told:
+        read_layer(product, "dn", 1)
+    with pytest.raises(Damaged):
+        list(export_frames(product, "fits", tmp_path / "out"))
+    with pytest.raises(Damaged):
+        calibrate(product, tmp_path / "copy")
+    if "/c/" in lost:
+        assert f"{path}" in str(told.value)
+        assert read_layer(product, "dn", 0).shape == (300, 520)
 
 
 @pytest.mark.parametrize(
