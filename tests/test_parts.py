@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -9,11 +10,13 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import xarray as xr
 
-from pipeline.errors import BadInput, Incomplete, TryLater
+from pipeline.errors import BadInput, DiskFull, Incomplete, TryLater
 from pipeline.route.run import Options, join, render
 from pipeline.route.shares import Share, parse_part
 from pipeline.spec.load import parse_scene
@@ -132,6 +135,29 @@ def test_a_part_killed_at_the_very_end_needs_no_other_part_again(tmp_path, whole
     render(scene, product, share=Share(2, 2))
     assert check(product).complete
     assert content_digest(product) == whole
+
+
+def test_a_part_that_cannot_begin_names_the_product_and_leaves_nothing(tmp_path, monkeypatch):
+    """Not the folder of its own in which it begins; a long name is no trouble."""
+    scene, one = parse_scene(SCENE), Share(1, 18)
+
+    def part(product):
+        return render(scene, product, Options("synchronous"), share=one)
+
+    (tmp_path / "file").touch()
+    with pytest.raises(BadInput, match=r"^-o: .* a path that can be written; Not a dir") as told:
+        part(tmp_path / "file" / "run")
+    assert told.value.value == str(tmp_path / "file" / "run")
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "mkdir", Mock(side_effect=OSError(errno.ENOSPC, "no room")))
+        with pytest.raises(DiskFull, match=f"^{tmp_path / 'run'}: the disk is full"):
+            part(tmp_path / "run")
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", Mock(side_effect=OSError(errno.EIO, "no disk")))
+        with pytest.raises(OSError, match="no disk"):
+            part(tmp_path / "run")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    assert not part(tmp_path / ("r" * 255))["complete"]
 
 
 def test_join_names_what_is_damaged(tmp_path, whole):

@@ -115,11 +115,14 @@ def make_together(path: Path, plan: Plan, catalogue_digest: str | None) -> None:
         if not is_begun(path):
             begin(path, plan, catalogue_digest, resume=True)  # refused, or begun anew
         return
-    own = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
+    own = path.with_name(f".{path.name[:50]}.{uuid4().hex}.tmp")  # names end at 255 bytes
     try:
         with layout.full_disk(own):  # not a file elsewhere, though it lies beside the product
             begin(own, plan, catalogue_digest, resume=False)
         own.rename(path)  # fails where another writer was first
+    except BadInput as error:
+        value = str(path) if error.value == str(own) else error.value
+        raise BadInput(error.field, value, error.allowed) from None
     except OSError:
         if not path.exists():
             raise
