@@ -10,6 +10,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -381,3 +382,54 @@ def test_places_that_do_not_answer(bucket, monkeypatch):
         render(parse_scene(SCENE), "s3://no-such-bucket/x", HERE)
     with pytest.raises(BadInput, match=f"PRODUCT: '{bucket}/nothing'"):
         check(f"{bucket}/nothing")
+
+
+def test_a_store_that_goes_away_keeps_what_is_finished(bucket, monkeypatch):
+    """Out of reach, or deleted: told with the way to go on; asked for nothing, one is not used."""
+    from catalog_tools.storage.objects import Objects
+    from catalog_tools.storage.stores import Unreachable
+
+    url, scene, put = f"{bucket}/away", parse_scene(SCENE), Objects.put
+
+    def away(fault):
+        def broken(self, name, content, *args, **kwargs):
+            if name.startswith("markers/") and self.names("markers/"):
+                raise fault
+            return put(self, name, content, *args, **kwargs)
+
+        return broken
+
+    faults = (
+        (Unreachable("no route"), r"^no route; what is finished is kept \(--resume\)$"),
+        (FileNotFoundError("gone"), f"^{url}: not found: gone; what is finished is kept$"),
+    )
+    for fault, told in faults:
+        options = replace(HERE, resume=bool(Objects(url).names()))
+        with monkeypatch.context() as patch:
+            patch.setattr(Objects, "put", away(fault))
+            with pytest.raises(Incomplete, match=told):
+                render(scene, url, options)
+    assert render(scene, url, replace(HERE, resume=True))["tiles_resumed"] == 1
+    monkeypatch.setattr(Objects, "names", Mock(side_effect=Unreachable("no route")))
+    with pytest.raises(BadInput) as caught:
+        render(scene, url, HERE)
+    assert str(caught.value) == (
+        f"-o: '{url}' is not accepted; allowed: a place that can be reached (no route)"
+    )
+
+
+def test_nothing_stays_in_a_store_where_memory_ends_before_a_tile(bucket, monkeypatch):
+    """Unless another writer has taken the lease over, whose objects they then are."""
+    from catalog_tools.storage.objects import Objects
+    from pipeline.store.lease import Lease
+
+    objects, scene = Objects(f"{bucket}/bare"), parse_scene(SCENE)
+    for lost in (False, True):
+        with monkeypatch.context() as patch:
+            patch.setattr("pipeline.execute.graph.render_tile", Mock(side_effect=MemoryError("9")))
+            if lost:
+                patch.setattr(Lease, "check", lambda self: setattr(self, "lost", True))
+            with pytest.raises(MemoryError):
+                render(scene, objects.url, HERE)
+        left = [name for name in objects.names() if not name.startswith(".lock")]
+        assert (".begun.json" in left) == bool(left) == lost

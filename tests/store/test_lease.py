@@ -164,3 +164,19 @@ def test_a_store_without_conditional_puts_is_refused_and_left_empty() -> None:
         pass
     assert told.value.value == store.url
     assert store.held == {}
+
+
+def test_of_two_that_take_it_at_once_one_is_told_to_wait(
+    store: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The store takes one of the two conditional PUTs; the other's leaves nothing."""
+    create = store.create
+
+    def another_first(name: str, content: bytes) -> bool:
+        store.put(name, b'{"owner": "another"}')
+        return create(name, content)
+
+    monkeypatch.setattr(store, "create", another_first)
+    with pytest.raises(TryLater, match="another render is writing"), only_writer_of(store):
+        pass
+    assert store.held == {FIRST: (b'{"owner": "another"}', store.now)}

@@ -399,6 +399,22 @@ def test_nothing_stays_where_memory_or_threads_end_before_a_tile(ended, tmp_path
     render(scene(), tmp_path / "run")
 
 
+@pytest.mark.parametrize("share", [None, Share(1, 2)])
+def test_a_disk_without_room_for_the_lock_is_told_as_full(share, tmp_path, monkeypatch):
+    opened = Path.open
+
+    def full(self, mode="r", *args, **kwargs):
+        if self.name.startswith(".lock"):
+            raise OSError(errno.ENOSPC, "No space left on device", str(self))
+        return opened(self, mode, *args, **kwargs)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", full)
+        with pytest.raises(DiskFull, match=f"^{tmp_path / 'run'}: the disk is full"):
+            render(scene(), tmp_path / "run", share=share)
+    render(scene(), tmp_path / "run", Options(resume=share is None), share=share)
+
+
 def test_a_product_may_have_a_colon_in_its_name(tmp_path, monkeypatch):
     """Arrow takes `run:1/truth` for a kind of URL, also where the picture is made of its tables."""
     monkeypatch.chdir(tmp_path)
