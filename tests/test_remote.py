@@ -385,7 +385,7 @@ def test_places_that_do_not_answer(bucket, monkeypatch):
 
 
 def test_a_store_that_goes_away_keeps_what_is_finished(bucket, monkeypatch):
-    """Out of reach, or deleted: told with the way to go on; asked for nothing, one is not used."""
+    """Out of reach, or deleted: told, with the way to go on; one away from the start is refused."""
     from catalog_tools.storage.objects import Objects
     from catalog_tools.storage.stores import Unreachable
 

@@ -76,6 +76,10 @@ def compare(
     check_ending(output, [".png", ".svg"])
     events = read_library(library, "LIBRARY")
     pitch = events.pixel_pitch_um or pixel_pitch_um
+    if events.pixel_pitch_um is not None and not 0.05 <= events.pixel_pitch_um <= 1000:
+        raise BadInput(
+            "LIBRARY", str(library), f"PITCH_UM of 0.05 to 1000, not {events.pixel_pitch_um:g}"
+        )
     if pitch is None or not 0.05 <= pitch <= 1000:
         raise BadInput("--pixel-pitch-um", pitch, "0.05 to 1000: the library does not say it")
     most = float(events.electrons.max())

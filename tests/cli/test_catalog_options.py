@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from catalog_tools.fetch.fetch import FetchReport
 from catalog_tools.verify.verify import VerifyReport
 from pipeline.cli import app
 from pipeline.commands.catalog import make
@@ -130,6 +131,41 @@ def test_what_verify_could_not_look_at_is_told(monkeypatch, notes, as_json):
         assert json.loads(told)["notes"] == list(notes)
     else:
         assert [note in told for note in ("notes", *notes)] == [bool(notes)] * (1 + len(notes))
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_what_a_fetch_brought_is_told_as_a_count_and_its_notes(monkeypatch, as_json):
+    report = FetchReport("gaia-dr2", "x", ("a", "b"), 1, 10, 1, 20, ("one cone is empty",))
+    monkeypatch.setattr(f"{FETCH}.run", lambda *_, **__: report)
+    words = ["catalog", "fetch", "gaia-dr2", "--dest", "x", "--all"]
+    done = CliRunner().invoke(app, [*words, *(["--json"] if as_json else [])])
+    assert done.exit_code == 0, done.output
+    assert "one cone is empty" in done.stderr
+    if as_json:
+        told = json.loads(done.stdout)
+        assert (told["files"], told["downloaded"], told["present"]) == (2, 1, 1)
+    else:
+        lines = {tuple(line.split()) for line in done.stdout.splitlines()}
+        assert {("files", "2"), ("bytes_downloaded", "10"), ("bytes_present", "20")} <= lines
+
+
+def test_a_sample_is_told_and_its_stars_come_to_the_screen_as_to_a_file(tmp_path):
+    def run(*words):
+        done = CliRunner().invoke(app, ["catalog", *map(str, words)])
+        assert done.exit_code == 0, done.output
+        return done
+
+    made = ("--rows", "300", "--workers", "1", "--json", "-o")
+    told = json.loads(run("demo", "--as-csv", *made, tmp_path / "files").stdout)
+    assert (told["files"], told["rows"]) == (1, 300)
+    assert told["bytes"] == sum(path.stat().st_size for path in tmp_path.glob("files/*.csv.gz"))
+    assert json.loads(run("demo", *made, tmp_path / "sky").stdout)["rows_in"] == 300
+    cone = ("cone", tmp_path / "sky", "--ra", 1, "--dec", 2, "--radius", 60)
+    run(*cone, "-o", tmp_path / "stars.csv")
+    shown = run(*cone)
+    assert shown.stdout_bytes == (tmp_path / "stars.csv").read_bytes()
+    rows = len(shown.stdout.splitlines()) - 1
+    assert shown.stderr.startswith(f"{rows} stars of ")
 
 
 @pytest.mark.parametrize("text", ["GiB", "", " ", "-1GiB", "much", "2 apples", "1e999GB", "nan"])

@@ -323,6 +323,23 @@ def test_a_library_without_a_long_event_is_compared(tmp_path):
     assert "a path that does not exist yet" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("header", "given", "told"),
+    [
+        ({}, (), "--pixel-pitch-um: None is not accepted; allowed: 0.05 to 1000: the library "),
+        ({}, ("--pixel-pitch-um", "0.01"), "--pixel-pitch-um: 0.01 is not accepted; allowed: 0.05"),
+        ({"PITCH_UM": 2000}, ("--pixel-pitch-um", "10"), "LIBRARY: "),
+    ],
+)
+def test_a_pitch_that_is_none_is_told_where_it_was_given(header, given, told, tmp_path):
+    path = table(tmp_path, header=header)
+    done = nightglass("cosmic-rays", "compare", path, *given, "-o", tmp_path / "no.png")
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"nightglass: {told}")
+    assert not header or done.stderr.endswith("allowed: PITCH_UM of 0.05 to 1000, not 2000\n")
+    assert not (tmp_path / "no.png").exists()
+
+
 def test_same_library_read_band_by_band(darks, extracted, monkeypatch):
     """Bands of 7 rows, whose last is shorter: the same events as of the whole stack at once."""
     monkeypatch.setattr(cosmic_ray_darks, "BAND_BYTES", 4 * FRAMES * 200 * 7)
