@@ -8,8 +8,10 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -191,6 +193,13 @@ def test_damaged_files_are_named(copy):
     refused(nightglass.Damaged, "plan.json: damaged", lambda: product.plan)
     refused(nightglass.Damaged, "report.json: damaged", lambda: product.report)
     refused(nightglass.Damaged, "targets.parquet: damaged", lambda: product.truth["targets"])
+
+
+def test_a_table_that_finds_no_memory_is_not_told_as_damaged(copy, monkeypatch):
+    product, full = nightglass.open_product(copy), pa.ArrowMemoryError("malloc of size 64 failed")
+    monkeypatch.setattr(pq, "read_table", Mock(side_effect=full))
+    with pytest.raises(MemoryError, match="malloc of size 64"):
+        product.truth["targets"]
 
 
 def test_a_flipped_bit_of_the_truth_is_not_read_as_a_number(copy):

@@ -22,6 +22,7 @@ from pipeline.route.shares import Share, parse_part
 from pipeline.spec.load import parse_scene
 from pipeline.store import layout
 from pipeline.store.product import check, content_digest
+from tests.command import nightglass
 
 SCENE = {
     "schema": "nightglass/scene/1",
@@ -158,6 +159,17 @@ def test_a_part_that_cannot_begin_names_the_product_and_leaves_nothing(tmp_path,
             part(tmp_path / "run")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
     assert not part(tmp_path / ("r" * 255))["complete"]
+
+
+def test_a_part_that_ends_last_and_a_join_tell_programs_the_report(tmp_path):
+    (tmp_path / "scene.json").write_text(json.dumps(SCENE | {"exposure": {"integration_s": 1.0}}))
+    render_part = ("render", tmp_path / "scene.json", "-o", tmp_path / "run", "--json", "--part")
+    first, last = (json.loads(nightglass(*render_part, f"{k}/2").stdout) for k in (1, 2))
+    joined = nightglass("join", tmp_path / "run", "--json")
+    assert joined.returncode == 0
+    told = json.loads(joined.stdout)
+    assert (first["complete"], last["frames"], told["frames"]) == (False, 1, 1)
+    assert told["content_digest"] == last["content_digest"] == content_digest(tmp_path / "run")
 
 
 def test_join_names_what_is_damaged(tmp_path, whole):

@@ -93,8 +93,11 @@ def test_each_frame_is_rid_of_its_own_dark_current(product, tmp_path):
     scene["dwells"] = [{"frames": 1, "integration_s": s} for s in (1.0, 5.0)]
     (tmp_path / "scene.json").write_text(json.dumps(scene))
     assert nightglass("render", tmp_path / "scene.json", "-o", tmp_path / "run").returncode == 0
-    done = nightglass("calibrate", tmp_path / "run", "-o", tmp_path / "copy")
+    done = nightglass("calibrate", tmp_path / "run", "-o", tmp_path / "copy", "--json")
     assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert (told["frames"], told["masked_pixels"]) == (2, 64 + 64 - 1)
+    assert told["calibrated_from"] == str(tmp_path / "run")
     light = open_cube(tmp_path / "copy")["calibrated_e"].values
     assert np.nanmean(light, axis=(1, 2)) == pytest.approx([400.0, 2000.0], abs=5.0)
 

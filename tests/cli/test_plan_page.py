@@ -94,3 +94,5 @@ def test_the_worst_frames_coverage_is_told_before_that_of_all() -> None:
     worst = {"worst_frame": 3, "worst_frame_fraction": 0.25}
     said = {"source": "rows", **worst, "mean_fraction": 0.875}
     assert pages._coverage(said) == "25% of frame 3, 87.5% of all (by rows)"
+    unknown = pages._coverage({"source": None})
+    assert unknown == "cannot be found from the catalogue's few rows"

@@ -196,3 +196,18 @@ def test_texts_of_a_header_fit_their_cards(product):
     given = {key: value for key, value, _ in cards}
     assert given["CATALOG"].startswith("/sky/sky")
     assert {len(fits.Card(key, value).image) for key, value in given.items()} == {80}
+
+
+def test_a_header_says_why_it_has_no_apparent_wcs(tmp_path):
+    """Of a distortion that no terms of TPV hold; the primary WCS is there all the same."""
+    data = copy.deepcopy(SCENE) | {"exposure": {"integration_s": 1.0, "frames": 1}}
+    data["sensor"]["focal_length_m"] = 0.00264  # 40 degrees
+    data["sensor"]["distortion"] = {"kind": "radial", "k1": -0.8, "k2": 0.6, "k3": -0.1}
+    render(parse_scene(data), tmp_path / "run")
+    (path,) = export_frames(tmp_path / "run", "fits", tmp_path / "out")
+    header = fits.getheader(path)
+    assert list(header["COMMENT"]) == [
+        "No WCS A: TPV terms leave over 0.001 px of the distortion."
+    ]
+    assert header["CTYPE1"] == "RA---TAN-SIP"
+    assert not [key for key in header if key.startswith(("CTYPE", "PV")) and key.endswith("A")]

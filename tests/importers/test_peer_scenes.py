@@ -403,6 +403,16 @@ def test_the_command_takes_the_seed_of_a_simsit_file_unless_one_is_given(
     assert load_scene(made).seed == seed
 
 
+@pytest.mark.parametrize("kind", ["satsim.json", "simsit.yaml"])
+def test_the_command_tells_programs_what_it_tells_people(published, tmp_path, kind):
+    file, made = published / "peers" / kind, tmp_path / "scene.yaml"
+    words = ["import", kind.partition(".")[0], str(file), "-o", str(made), "--json"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout) == {"scene": str(made), **read(file).as_dict()}
+    assert load_scene(made).exposure.frames > 0
+
+
 def test_own_simsit_renders(published, tmp_path):
     """A small file: the satellite stands in the middle, with the light of its magnitude."""
     assert_simsit_is_drawn(published / "peers" / "simsit.yaml", tmp_path, streaks=True)

@@ -92,6 +92,13 @@ def test_another_table_of_the_users_data_is_refused(product, starry, tmp_path, m
     table.write_text("0.1195,0.0619\n1.0,749.0\n")
     assert None not in (known, files_digest({}))
     assert files_digest({}) != known
+    known = files_digest({})
+    spectra = tmp_path / "stellar_spectra" / "pickles_uvk"
+    spectra.mkdir(parents=True)
+    (spectra / "readme.txt").touch()
+    assert files_digest({}) == known
+    (spectra / "pickles_uk_1.fits").touch()
+    assert files_digest({}) != known
     monkeypatch.delenv("NIGHTGLASS_DATA")
     assert files_digest({}) is None
     render(starry[0], product, AGAIN)
