@@ -118,6 +118,9 @@ class Movers:
         k = int(np.argmax(fastest))
         orbit, field = self._orbits[self._plain[k]], self._fields[self._plain[k]]
         if not fastest[k] < SPEED_OF_LIGHT_M_S:
+            if isinstance(orbit, StateOrbit):
+                allowed = "a speed that stays below that of light"
+                raise BadInput(f"{field}.velocity_m_s", orbit.velocity_m_s, allowed)
             e = getattr(orbit, "eccentricity", None)
             raise BadInput(f"{field}.eccentricity", e, "a speed below that of light")
         return moved

@@ -33,7 +33,7 @@ from pipeline.plan.bodies.sights import sights
 from pipeline.plan.pointing.geometry import moments_at, plan_geometry
 from pipeline.spec.load import parse_scene
 from pipeline.spec.targets.body import Body, Lighting
-from pipeline.spec.targets.orbit import KeplerianOrbit, TleOrbit
+from pipeline.spec.targets.orbit import KeplerianOrbit, StateOrbit, TleOrbit
 from tests.physics.positions.test_orbit_skyfield import tle
 
 EPOCH = parse_utc("2019-07-20T09:00:00Z")
@@ -337,6 +337,18 @@ def test_a_target_faster_than_light_is_named_among_others() -> None:
                     instants(EPOCH, np.zeros(1), 0.0))  # fmt: skip
     with pytest.raises(BadInput, match=r"targets\.1\.orbit\.eccentricity.*below that of light"):
         movers.states(np.zeros((2, 1)))
+
+
+def test_a_state_that_cannot_be_carried_is_named_by_a_field_that_it_has() -> None:
+    """Not by the eccentricity of another kind of orbit."""
+    state = StateOrbit(kind="state", position_m=(4e7, 0.0, 0.0), velocity_m_s=(0.0, 2e8, 0.0))
+    movers = Movers([state], ["targets.0.orbit"], EPOCH, instants(EPOCH, np.zeros(1), 0.0))
+    with np.errstate(all="ignore"), pytest.raises(BadInput) as told:
+        movers.states(np.full((1, 1), np.inf))
+    assert str(told.value) == (
+        "targets.0.orbit.velocity_m_s: (0.0, 200000000.0, 0.0) is not accepted; "
+        "allowed: a speed that stays below that of light"
+    )
 
 
 def test_band_albedos() -> None:
