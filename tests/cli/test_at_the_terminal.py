@@ -13,6 +13,7 @@ import time
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from rich.console import Console
@@ -87,6 +88,20 @@ def test_ctrl_c_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None:
     assert went_on.returncode == 0, went_on.stderr
     assert json.loads(went_on.stdout)["tiles_resumed"] == done
     assert check(tmp_path / "my run").whole
+
+
+def test_ctrl_c_of_a_render_into_a_store_asks_it_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "scene.json").write_text(json.dumps(SCENE))
+    monkeypatch.setattr("pipeline.commands.render.run", Mock(side_effect=KeyboardInterrupt))
+    done = nightglass("render", tmp_path / "scene.json", "-o", "s3://bucket/run")
+    assert done.returncode == 130
+    said = "interrupted; s3://bucket/run: finished tiles are kept; go on with:"
+    assert said in done.stderr
+    assert shlex.split(done.stderr.strip().splitlines()[-1])[-3:] == [
+        "-o", "s3://bucket/run", "--resume"
+    ]  # fmt: skip
 
 
 def unfinished(product: Path) -> tuple[int, dict[str, Any]]:

@@ -220,6 +220,19 @@ def test_decayed_and_faulty_elements_are_reported(tmp_path: Path, scene: Path) -
     assert 0 < len(json.loads(long.stdout)["rows"]) <= 3 * len(found["rows"])
 
 
+def test_six_notes_are_shown_and_the_others_counted(
+    scene: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = observe(parse_scene(night()))
+    for many, left in ((6, None), (7, "and 1 more notes (--json)")):
+        told = replace(real, notes=tuple(f"note {k}" for k in range(many)))
+        monkeypatch.setattr("pipeline.commands.observe.look", lambda *_, told=told: told)
+        lines = [line.strip() for line in nightglass("observe", scene).stdout.splitlines()]
+        assert lines[-6 - bool(left) :] == [
+            *(f"note: note {k}" for k in range(many - 6, many)), *([left] if left else ())
+        ]  # fmt: skip
+
+
 def test_no_message_of_nothing(scene: Path, tmp_path: Path) -> None:
     result = nightglass("observe", scene, "--snr", "1e9", "-o", tmp_path / "no.tdm")
     assert result.returncode == 2

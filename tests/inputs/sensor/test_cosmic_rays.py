@@ -323,6 +323,17 @@ def test_a_library_without_a_long_event_is_compared(tmp_path):
     assert "a path that does not exist yet" in done.stderr
 
 
+def test_frames_are_counted_at_a_terminal(darks, tmp_path, monkeypatch):
+    """One line that is written over, and ends with the last frame; none in a file."""
+    command = ["cosmic-rays", "extract", *darks, "--exposure-s", "60", "--pixel-pitch-um", "10"]
+    quiet = nightglass(*command, "-o", tmp_path / "a.fits")
+    monkeypatch.setattr("pipeline.commands.cosmic_rays.is_quiet", lambda as_json: as_json)
+    shown = nightglass(*command, "-o", tmp_path / "b.fits")
+    assert (quiet.returncode, quiet.stderr, shown.returncode) == (0, "", 0)
+    assert shown.stderr.endswith(f"\rframe {FRAMES} of {FRAMES}\n")
+    assert shown.stderr.count("\n") == 1
+
+
 @pytest.mark.parametrize(
     ("header", "given", "told"),
     [
