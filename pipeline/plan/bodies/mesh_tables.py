@@ -93,47 +93,54 @@ def spin_rad_s(body: MeshBody) -> float | None:
 
 def decide_tables(scene: Scene) -> list[Decision]:
     """What the plan says of tables of light; nothing where no mesh needs many moments."""
-    out = []
-    for index, target in enumerate(scene.targets):
-        body = target.body
-        if not isinstance(body, MeshBody) or moments_wanted(scene, body) < WORTH:
-            continue
-        wanted = moments_wanted(scene, body)
-        key = _key(scene, index, *_span(scene), wanted)
-        table = KEPT.get(key)
-        bound = None if table is None else table.worst if len(table.values) > 1 else table.error
-        dropped = key not in KEPT and len(KEPT) >= MOST_KEPT
-        if dropped:
-            bound = 2.0 * (body.error or 0.0)
-            why = (
-                f"{target.name}: not kept beside {MOST_KEPT} others; where a table serves, it is "
-                "worked out again for each window of frames"
-            )
-        elif table is None:
-            why = (
-                f"{target.name}: none within a third of the about {wanted} moments that the frames "
-                f"need and {2.0 * (body.error or 0.0):.2g} of the light, or more than one part "
-                "spins by itself: each frame works out its own light"
-            )
-        else:
-            phases = len(table.values)
-            grid = f"{phases} phases of its spin by " if phases > 1 else ""
-            why = (
-                f"{target.name}: worked out beforehand at {grid}{len(table.times_s)} times, "
-                f"{table.worked} moments instead of about {wanted}; straight lines between. "
-            )
-            why += (
-                f"Moments that were omitted differ by {table.error:.2g} of the mean light on "
-                f"average, by up to {table.worst:.2g} of the brightest where a face or a shadow "
-                "sets in"
-                if phases > 1
-                else f"Moments that were omitted differ by at most {table.error:.2g} of the "
-                "light, or of a tenth of the brightest where it is fainter"
-            )
-        unit = "of the brightest light"
-        used = dropped or table is not None
-        out.append(Decision("targets.light_table", used, why, bound=bound, unit=unit))
-    return out
+    return [
+        _decision(scene, index, target.name, target.body)
+        for index, target in enumerate(scene.targets)
+        if isinstance(target.body, MeshBody) and moments_wanted(scene, target.body) >= WORTH
+    ]
+
+
+def _decision(scene: Scene, index: int, name: str, body: MeshBody) -> Decision:
+    wanted = moments_wanted(scene, body)
+    key = _key(scene, index, *_span(scene), wanted)
+    table, missed = KEPT.get(key), 2.0 * (body.error or 0.0)
+    bound = None if table is None else table.worst if len(table.values) > 1 else table.error
+    dropped = key not in KEPT and len(KEPT) >= MOST_KEPT
+    if dropped:
+        bound = missed
+        why = (
+            f"{name}: not kept beside {MOST_KEPT} others; where a table serves, it is worked out "
+            "again for each window of frames"
+        )
+    elif table is None:
+        why = (
+            f"{name}: none within a third of the about {wanted} moments that the frames need and "
+            f"{missed:.2g} of the light, or more than one part spins by itself: each frame works "
+            "out its own light"
+        )
+    else:
+        why = _worked_out(name, table, wanted)
+    used = dropped or table is not None
+    return Decision("targets.light_table", used, why, bound=bound, unit="of the brightest light")
+
+
+def _worked_out(name: str, table: LightTable, wanted: int) -> str:
+    """What the plan says of a table that is there."""
+    phases = len(table.values)
+    grid = f"{phases} phases of its spin by " if phases > 1 else ""
+    told = (
+        f"{name}: worked out beforehand at {grid}{len(table.times_s)} times, "
+        f"{table.worked} moments instead of about {wanted}; straight lines between. "
+    )
+    if phases > 1:
+        return told + (
+            f"Moments that were omitted differ by {table.error:.2g} of the mean light on "
+            f"average, by up to {table.worst:.2g} of the brightest where a face or a shadow sets in"
+        )
+    return told + (
+        f"Moments that were omitted differ by at most {table.error:.2g} of the "
+        "light, or of a tenth of the brightest where it is fainter"
+    )
 
 
 class _Light:
