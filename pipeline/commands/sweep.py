@@ -24,7 +24,7 @@ from pipeline.commands.pages import is_quiet, print_warnings, progress_listener
 from pipeline.errors import BadInput
 from pipeline.lines import fold, pair
 from pipeline.spec.load import scene_yaml
-from pipeline.spec.sweep_load import read_sweep
+from pipeline.spec.sweep_load import load_sweep, read_sweep
 from pipeline.sweep.forecast import forecast_course
 from pipeline.sweep.run import Options, gather_course, point_scene
 from pipeline.sweep.run import sweep as run
@@ -110,7 +110,10 @@ def _there(
             "without --resume, --retry-failed, --workers, --scheduler, --slurm, --point, --dry-run"
         )
         raise BadInput("--server", "with them", allowed)
-    asked = read_sweep(file, overrides, placed=False) if overrides else file
+    asked: Path | JsonObject = file
+    if overrides:
+        load_sweep(file, overrides)
+        asked = read_sweep(file, overrides, placed=False)
     report = run_there("sweep", asked, output, server, as_json)
     if not as_json:
         print_warnings(report.get("warnings", []))  # a server may be older

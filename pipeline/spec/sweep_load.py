@@ -54,8 +54,18 @@ def read_base(name: str, folder: Path) -> tuple[JsonObject, Path]:
 
 
 def load_sweep(path: Path, overrides: Iterable[str] = ()) -> Sweep:
-    """Read a sweep file, with overrides as `read_sweep` takes them, and check it."""
-    return parse_sweep(read_sweep(path, overrides))
+    """Read a sweep file, with overrides as `read_sweep` takes them, and check it.
+
+    BadInput for one of a field that an axis changes: it would have no effect.
+    """
+    overrides = list(overrides)
+    sweep = parse_sweep(read_sweep(path, overrides))
+    swept = {OF_SCENE + name for axis in sweep.axes for name in axis.fields}
+    for override in overrides:
+        key = override.partition("=")[0].removesuffix("+")
+        if any(f"{key}.".startswith(f"{name}.") for name in swept):
+            raise BadInput("--set", override, "a field that no axis of the sweep changes")
+    return sweep
 
 
 def parse_sweep(data: object) -> Sweep:

@@ -127,6 +127,10 @@ def test_keys_of_a_sweep_and_of_its_scene_are_set(tmp_path):
     assert load_sweep(file, overrides) == parse_sweep(told)
     other = read_sweep(file, ["scene.seed=2", "scene=scenes/other.yaml"])["scene"]
     assert other["stars"]["catalogue"] == str(tmp_path / "scenes" / "made")
+    for override in ("scene.a=3", "scene.a+=3", "scene.a.b=3"):
+        with pytest.raises(BadInput, match="a field that no axis of the sweep changes") as refused:
+            load_sweep(file, ["scene.ab=7", override])
+        assert (refused.value.field, refused.value.value) == ("--set", override)
     for override, words in (("scene=no.yaml", "an existing scene file"), ("name.a=3", "a key")):
         with pytest.raises(BadInput, match=words):
             read_sweep(file, [override])

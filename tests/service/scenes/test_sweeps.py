@@ -89,6 +89,8 @@ def test_by_the_command_line(
     command(file, two, set_, server=server.url, as_json=True)
     assert json.loads(capsys.readouterr().out)["points"] == 2
     assert json.loads((two / "sweep.json").read_text())["scene"]["seed"] == 41
+    with pytest.raises(BadInput, match="no axis"):
+        command(file, two, ["scene.sensor.read_noise_e=3"], server=server.url)
     for options in ({"workers": 2}, {"point": 1}, {"resume": True}):
         with pytest.raises(BadInput, match="--server"):
             command(file, tmp_path / "other", server=server.url, **options)
