@@ -15,7 +15,7 @@ from ..documents import JsonObject
 from ..errors import BadInput, Damaged
 from ..forms import Layout
 from .bytes_in import bytes_of
-from .kinds import Choose
+from .kinds import Choose, choose_once
 
 BLOCK_BYTES = 2880
 PIECE_BYTES = 4 << 20
@@ -65,10 +65,7 @@ def read_fits(
     stream = _Stream(path, bytes_of(path, zipped=zipped, md5=md5))
     header = _find_table(stream, where, layout.hdu)
     columns, width, rows = _described(header, where)
-    chosen = choose(*_named(columns))
-    twice = [n for n in chosen if sum(column.name == n for column in columns) > 1]
-    if twice:
-        raise BadInput(where, twice, "a table that has each of these columns once")
+    chosen = choose_once(choose, *_named(columns), where)
     used = sum(np.dtype(c.dtype).itemsize * c.repeat for c in columns)
     if used != width:
         raise Damaged(str(path), f"its columns are {used} bytes, its rows {width}")

@@ -63,3 +63,13 @@ def _kind(head: bytes) -> str | None:
     if not text or b"\0" in head or head.startswith(_UTF16):
         return None
     return "csv"
+
+
+def choose_once(
+    choose: Choose, names: list[str], declared: Mapping[str, str], where: str, what: str = "table"
+) -> dict[str, str]:
+    """The columns that are chosen of some. BadInput for one whose name stands twice."""
+    chosen = choose(names, declared)
+    if twice := [name for name in chosen if names.count(name) > 1]:
+        raise BadInput(where, twice, f"a {what} that has each of these columns once")
+    return chosen

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..errors import BadInput, Damaged
-from .kinds import Choose
+from .kinds import Choose, choose_once
 
 ROWS = 32_000
 PAGE_SHARE = 2  # a page as it lies on disk, and decoded
@@ -32,10 +32,7 @@ def read_parquet(
     """
     try:
         with pq.ParquetFile(path, **READING) as file:
-            names = file.schema_arrow.names
-            chosen = list(choose(names, {}))
-            if twice := [name for name in chosen if names.count(name) > 1]:
-                raise BadInput(where, twice, "a table that has each of these columns once")
+            chosen = list(choose_once(choose, file.schema_arrow.names, {}, where))
             if most_bytes is not None:
                 _refuse_large_pages(path, where, file.metadata, set(chosen), most_bytes)
             for batch in file.iter_batches(ROWS, columns=chosen, use_threads=False):

@@ -24,7 +24,7 @@ from ..forms import Layout
 from .bytes_in import bytes_of
 from .ecsv import is_ecsv, units_of
 from .fields import FieldTaker
-from .kinds import BOM, Choose
+from .kinds import BOM, Choose, choose_once
 
 Block = NDArray[np.uint8]
 
@@ -43,9 +43,7 @@ def read_text(
     """
     blocks = _whole_lines(bytes_of(path, zipped=zipped, md5=md5), where)
     names, declared, layout, blocks = _header(blocks, where, layout)
-    chosen = choose(names, declared)
-    if twice := [name for name in chosen if names.count(name) > 1]:
-        raise BadInput(where, twice, "a header that has each of these columns once")
+    chosen = choose_once(choose, names, declared, where, "header")
     take = _taker(names, chosen, where, layout)
     order = [name for name in names if name in chosen]
     parse = _parser(order, chosen, where, layout)
