@@ -24,7 +24,7 @@ from pipeline.commands.pages import is_quiet, print_warnings, progress_listener
 from pipeline.errors import BadInput
 from pipeline.lines import fold, pair
 from pipeline.spec.load import scene_yaml
-from pipeline.spec.sweep_load import load_sweep, read_sweep
+from pipeline.spec.sweep_load import parse_sweep, read_sweep
 from pipeline.sweep.forecast import forecast_course
 from pipeline.sweep.run import Options, gather_course, point_scene
 from pipeline.sweep.run import sweep as run
@@ -112,8 +112,8 @@ def _there(
         raise BadInput("--server", "with them", allowed)
     asked: Path | JsonObject = file
     if overrides:
-        load_sweep(file, overrides)
         asked = read_sweep(file, overrides, placed=False)
+        parse_sweep(asked, overrides)
     report = run_there("sweep", asked, output, server, as_json)
     if not as_json:
         print_warnings(report.get("warnings", []))  # a server may be older

@@ -70,6 +70,13 @@ def read_format_file(path: Path, field: str, what: str) -> JsonValue:
     return parse_text(path.read_bytes(), str(path))
 
 
+def plain_mapping(data: object, what: str, keys: str) -> JsonObject:
+    """Plain data of one of our formats, which is a mapping. BadInput for what is not."""
+    if not isinstance(data, dict):
+        raise BadInput(what, data, f"a mapping (schema, name, {keys}, ...)")
+    return data
+
+
 def parse_text(raw: bytes, name: str = "scene") -> JsonValue:
     """Plain data from YAML 1.2 or JSON text; duplicates, aliases and deep nesting are refused."""
     try:

@@ -8,21 +8,21 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from catalog_tools.documents import JsonObject, JsonValue
-from pipeline.errors import BadInput
 from pipeline.spec.load import (
     InvalidScene,
     apply_override,
     mistakes_of,
+    plain_mapping,
     read_format_file,
 )
 from pipeline.spec.study import Study
 
+FORMAT = "study", "start, sensors"
+
 
 def read_study(path: Path, overrides: Iterable[str] = ()) -> JsonObject:
     """The plain data of a study file with `a.b=value` overrides; not yet checked."""
-    data = read_format_file(path, "STUDY", "study")
-    if not isinstance(data, dict):
-        raise BadInput("study", data, "a mapping (schema, name, start, sensors, ...)")
+    data = plain_mapping(read_format_file(path, "STUDY", "study"), *FORMAT)
     for override in overrides:
         apply_override(data, override)
     return data
@@ -30,8 +30,7 @@ def read_study(path: Path, overrides: Iterable[str] = ()) -> JsonObject:
 
 def parse_study(data: JsonValue) -> Study:
     """Check plain data against the study format. Raises InvalidScene with every mistake."""
-    if not isinstance(data, dict):
-        raise BadInput("study", data, "a mapping (schema, name, start, sensors, ...)")
+    data = plain_mapping(data, *FORMAT)
     try:
         return Study.model_validate(data)
     except ValidationError as error:

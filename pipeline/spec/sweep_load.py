@@ -15,10 +15,12 @@ from pipeline.spec.load import (
     mistakes_of,
     parse_text,
     place_paths,
+    plain_mapping,
     read_format_file,
 )
 from pipeline.spec.sweep import Sweep
 
+FORMAT = "sweep", "scene, axes"
 OF_SCENE = "scene."
 
 
@@ -28,7 +30,8 @@ def read_sweep(path: Path, overrides: Iterable[str] = (), placed: bool = True) -
     With overrides its scene's file is read, too: `scene.sensor.read_noise_e=3` sets a key there.
     placed : relative paths in that file are made absolute
     """
-    data, overrides = _mapping(read_format_file(path, "SWEEP", "sweep")), list(overrides)
+    data = plain_mapping(read_format_file(path, "SWEEP", "sweep"), *FORMAT)
+    overrides = list(overrides)
     for override in overrides:
         if not override.startswith(OF_SCENE):
             apply_override(data, override)
@@ -54,30 +57,25 @@ def read_base(name: str, folder: Path) -> tuple[JsonObject, Path]:
 
 
 def load_sweep(path: Path, overrides: Iterable[str] = ()) -> Sweep:
-    """Read a sweep file, with overrides as `read_sweep` takes them, and check it.
-
-    BadInput for one of a field that an axis changes: it would have no effect.
-    """
+    """Read a sweep file, with overrides as `read_sweep` takes them, and check it."""
     overrides = list(overrides)
-    sweep = parse_sweep(read_sweep(path, overrides))
+    return parse_sweep(read_sweep(path, overrides), overrides)
+
+
+def parse_sweep(data: object, overrides: Iterable[str] = ()) -> Sweep:
+    """Check plain data against the sweep format. Raises InvalidScene with every mistake.
+
+    overrides : that were set in it; BadInput for one of a field that an axis changes, where it
+    would have no effect
+    """
+    data = plain_mapping(data, *FORMAT)
+    try:
+        sweep = Sweep.model_validate(data)
+    except ValidationError as error:
+        raise InvalidScene(mistakes_of(error, data)) from None
     swept = {OF_SCENE + name for axis in sweep.axes for name in axis.fields}
     for override in overrides:
         key = override.partition("=")[0].removesuffix("+")
         if any(f"{key}.".startswith(f"{name}.") for name in swept):
             raise BadInput("--set", override, "a field that no axis of the sweep changes")
     return sweep
-
-
-def parse_sweep(data: object) -> Sweep:
-    """Check plain data against the sweep format. Raises InvalidScene with every mistake."""
-    data = _mapping(data)
-    try:
-        return Sweep.model_validate(data)
-    except ValidationError as error:
-        raise InvalidScene(mistakes_of(error, data)) from None
-
-
-def _mapping(data: object) -> JsonObject:
-    if not isinstance(data, dict):
-        raise BadInput("sweep", data, "a mapping (schema, name, scene, axes, ...)")
-    return data
