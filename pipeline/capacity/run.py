@@ -120,15 +120,17 @@ def run_study(
         opened = cache(  # by the first task that is not done yet
             lambda: stack.enter_context(open_scheduler(options.scheduler, options.workers))
         )
-        if study.points > 1:
+        course = make_course(_placed(data, folder), out) if study.points == 1 else None
+        if course is None:
             told = forecast_of(data, folder)
-            _check_room(told, options)
-            _check_forecast(told, options, begins)
-            return _run_points(data, study, folder, out, options, opened, listen)
-        course = make_course(_placed(data, folder), out)
-        told = course.forecast | {"remarks": list(course.remarks)}
+        else:
+            told = course.forecast | {"remarks": list(course.remarks)}
         _check_room(told, options)
-        _check_forecast(told, options, begins)
+        _check_forecast(told, options)
+        if begins is not None:
+            begins(told)
+        if course is None:
+            return _run_points(data, study, folder, out, options, opened, listen)
         return _run_point(study, course, options, opened, listen)
 
 
@@ -184,8 +186,8 @@ def _hear_point(listen: Listener, point: int, points: int, progress: SweepProgre
     listen(replace(progress, done=done, total=points * progress.total))
 
 
-def _check_forecast(told: JsonObject, options: StudyOptions, begins: Begins | None = None) -> None:
-    """BadInput for a study that is forecast to take longer than is meant; else `begins` hears."""
+def _check_forecast(told: JsonObject, options: StudyOptions) -> None:
+    """BadInput for a study that is forecast to take longer than is meant."""
     most_cpu_s = options.most_cpu_s or MOST_CPU_S
     if told["cpu_s"] > most_cpu_s and not options.yes:
         remedy = "shorten it" if options.most_cpu_s else "shorten it, or --yes"
@@ -193,8 +195,6 @@ def _check_forecast(told: JsonObject, options: StudyOptions, begins: Begins | No
         asked = f"{hours:.0f}" if hours >= 10.0 else f"{hours:.2g}"
         allowed = f"up to {most_cpu_s / 3600.0:.3g} h: {remedy}"
         raise BadInput("study", f"{asked} h of one core", allowed)
-    if begins is not None:
-        begins(told)
 
 
 def _check_room(told: JsonObject, options: StudyOptions) -> None:

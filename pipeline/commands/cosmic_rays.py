@@ -75,12 +75,11 @@ def compare(
     """Draw a library beside the generator (PNG or SVG): size, charge, charge per length, rate."""
     check_ending(output, [".png", ".svg"])
     events = read_library(library, "LIBRARY")
-    pitch = events.pixel_pitch_um or pixel_pitch_um
-    if events.pixel_pitch_um is not None and not 0.05 <= events.pixel_pitch_um <= 1000:
-        raise BadInput(
-            "LIBRARY", str(library), f"PITCH_UM of 0.05 to 1000, not {events.pixel_pitch_um:g}"
-        )
+    own = events.pixel_pitch_um
+    pitch = pixel_pitch_um if own is None else own
     if pitch is None or not 0.05 <= pitch <= 1000:
+        if own is not None:
+            raise BadInput("LIBRARY", str(library), f"PITCH_UM of 0.05 to 1000, not {own:g}")
         raise BadInput("--pixel-pitch-um", pitch, "0.05 to 1000: the library does not say it")
     most = float(events.electrons.max())
     if not 0.0 < threshold_e <= most:
