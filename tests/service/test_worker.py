@@ -38,12 +38,11 @@ def test_it_ends_at_once_when_its_parent_is_gone() -> None:
 
 
 def test_an_engine_that_cannot_be_loaded_is_told_by_the_worker(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, forks: processes.Forks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What forks workers lives on, and says it on its log; the order ends with the fault."""
     (tmp_path / "dask.py").write_text("raise ImportError('dask is broken')\n")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
-    monkeypatch.setattr(processes, "_forks", forks := processes.Forks())
     settings = Settings(tmp_path)
     settings.make_folders()
     for _ in range(2):
@@ -53,8 +52,6 @@ def test_an_engine_that_cannot_be_loaded_is_told_by_the_worker(
         assert answer["error"]["kind"] == "fault"
     assert forks._process is not None
     assert forks._process.poll() is None
-    forks._process.kill()
-    forks._process.wait()
 
 
 @pytest.fixture
