@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import zarr
 
 from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import MAKE_ROOM, full_disk_told
@@ -24,7 +23,14 @@ from pipeline.plan.timing import frame_count, integration_s
 from pipeline.spec.load import parse_scene, parse_yaml
 from pipeline.spec.scene import Scene
 from pipeline.store import layout
-from pipeline.store.cube import CubeWriter, check_complete, finish_cube, open_raw_cube, read_layer
+from pipeline.store.cube import (
+    CubeWriter,
+    check_complete,
+    finish_cube,
+    open_layer,
+    open_raw_cube,
+    read_layer,
+)
 from pipeline.store.product import (
     begin_copy,
     check_same_images,
@@ -115,6 +121,6 @@ def _write_frame(
 
 def _stored(product: Path, name: str) -> tuple[tuple[str, ...], np.ndarray, JsonObject]:
     """A coordinate as it is stored: dimensions, numbers (times not decoded), attributes."""
-    array = zarr.open_array(product / layout.CUBE / name, mode="r")
+    array = open_layer(product, name)
     dimensions = tuple(str(d) for d in getattr(array.metadata, "dimension_names", None) or ())
     return dimensions, np.asarray(array[...]), dict(array.attrs)

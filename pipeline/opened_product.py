@@ -134,6 +134,8 @@ class Product:
         ------
         BadInput, Incomplete
             Where the product has gone meanwhile, or is being made anew.
+        Damaged
+            When pixels are read whose chunk is lost.
         """
         return open_cube(self.path)
 

@@ -525,13 +525,16 @@ class RemoteJob:
         JobFailed
             Where it ended as ERROR or ABORTED.
         Damaged, Incomplete, ServiceError
-            As `fetch` does, where there is a folder.
+            As `fetch` does, where there is a folder; without it, reading a lost chunk raises
+            Damaged.
         """
         if folder is not None:
             from pipeline.store.cube import open_cube
 
             return open_cube(self.fetch(folder))
-        import xarray as xr
+        from zarr.storage import FsspecStore
+
+        from pipeline.store.whole_chunks import open_whole
 
         self._complete("scene")
         try:
@@ -542,7 +545,8 @@ class RemoteJob:
             raise Missing(what, "aiohttp", "remote", instead, broken=broken) from None
         address = f"{self.client.url}{self.path}/results/cube.zarr"
         options = {"headers": self.client.headers} if self.client.headers else {}
-        return xr.open_zarr(address, storage_options=options, chunks=None)
+        store = FsspecStore.from_url(address, storage_options=options, read_only=True)
+        return open_whole(store)
 
     def fetch(
         self, folder: Path | str, parallel: int = 8, progress: bool | Listener = True

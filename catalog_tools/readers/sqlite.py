@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from ..errors import BadInput, Damaged
 from ..forms import Layout
-from .kinds import Choose
+from .kinds import Choose, choose_once
 
 ROWS = 20_000
 ALLOWED = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION}
@@ -51,7 +51,7 @@ def _rows(base: sqlite3.Connection, where: str, query: str, choose: Choose) -> I
     if cursor.description is None:
         raise BadInput(f"{where} query", query, "a query that gives rows")
     names = [column[0] for column in cursor.description]
-    chosen = choose(names, {})
+    chosen = choose_once(choose, names, {}, f"{where} query", "query")
     places = {name: names.index(name) for name in chosen}
     before = 0
     while rows := cursor.fetchmany(ROWS):

@@ -15,6 +15,7 @@ from numcodecs.zstd import Zstd
 from zarr.abc.codec import BytesBytesCodec
 from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
 from zarr.errors import ZarrUserWarning
+from zarr.storage import LocalStore
 
 from catalog_tools.documents import Arguments, JsonObject
 from pipeline.errors import BadInput, Damaged, Incomplete
@@ -33,6 +34,7 @@ from pipeline.store.layout import (
 )
 from pipeline.store.markers import Marker, cell_checksums, write_marker
 from pipeline.store.truth import write_part
+from pipeline.store.whole_chunks import WholeChunks, open_whole
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -216,11 +218,12 @@ def _crc(content: bytes) -> bytes:
 
 
 def open_cube(product: Path) -> xr.Dataset:
-    """A complete product's cube as an xarray Dataset. Incomplete for one that is not whole."""
-    import xarray as xr
+    """A complete product's cube as an xarray Dataset; reading a lost chunk raises Damaged.
 
+    Incomplete for a product that is not whole.
+    """
     check_complete(product)
-    return xr.open_zarr(product / CUBE, chunks=None)
+    return open_whole(LocalStore(product / CUBE, read_only=True))
 
 
 def open_raw_cube(product: Path) -> xr.Dataset:
@@ -245,23 +248,14 @@ def check_complete(product: Path) -> None:
 def read_layer(product: Path, name: str, frame: int) -> np.ndarray:
     """One frame of one layer; Damaged where a chunk is lost or does not match its checksum."""
     try:
-        array = _open_array(product / CUBE / name)
-        _check_chunks(product / CUBE / name / "c" / str(frame // array.chunks[0]), array)
-        return np.asarray(array[frame])
+        return np.asarray(open_layer(product, name)[frame])
     except FileNotFoundError as error:
         raise Damaged(f"{CUBE}/{name}", str(error)) from None
     except (ValueError, RuntimeError) as error:
         raise Damaged(f"{CUBE}/{name}", f"frame {frame}: {error}") from None
 
 
-def _check_chunks(folder: Path, array: zarr.Array) -> None:
-    """Raise FileNotFoundError where a frame lacks a chunk: Zarr reads zeros in its place."""
-    counts = (-(-n // t) for n, t in zip(array.shape[1:], array.chunks[1:], strict=True))
-    for row, column in np.ndindex(*counts):
-        chunk = folder / str(row) / str(column)
-        if not chunk.is_file():
-            raise FileNotFoundError(f"{chunk} does not exist")
-
-
-def _open_array(path: Path) -> zarr.Array:
-    return zarr.open_array(store=path, mode="r")
+def open_layer(product: Path, name: str) -> zarr.Array:
+    """A layer or coordinate of a finished cube, as stored. Its lost chunks raise Damaged."""
+    store = LocalStore(product / CUBE / name, read_only=True)
+    return zarr.open_array(store=WholeChunks(store), mode="r")

@@ -337,6 +337,7 @@ def test_sqlite_needs_a_query_that_only_reads(tmp_path, few):
         ("select 1; select 2", "query"),
         ("select source_id, ra, dec from stars", "'phot_g_mean_mag'"),
         ("-- of all stars", "a query that gives rows"),
+        ("select dec as ra, * from stars", "query: ['ra'] a query that has each of these"),
     ):
         check(path, message, replace(DR2, layout=Layout(query=query)))
     layout = Layout(query="select * from stars", attach=(("other", "none.sqlite"),))

@@ -240,6 +240,14 @@ def test_limits_refused(labelled, tmp_path, kind, name, wish, field):
     assert caught.value.field == field
 
 
+@pytest.mark.parametrize("kind", ["fits", "coco"])
+def test_outputs_below_a_file_are_refused_by_its_name(labelled, tmp_path, kind):
+    (tmp_path / "file").write_text("keep me")
+    with pytest.raises(BadInput, match=f"in a folder; {tmp_path}/file is a file"):
+        list(export_product(labelled, kind, tmp_path / "file" / "a" / "b", ExportRequest()))
+    assert (tmp_path / "file").read_text() == "keep me"
+
+
 @pytest.mark.parametrize("kind", ["fits", "png"])
 def test_frames_that_are_there_are_kept(labelled, tmp_path, kind):
     """In a folder, and as one file: refused by name, not a byte of them changed."""

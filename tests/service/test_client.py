@@ -36,7 +36,9 @@ def nightglass(*words: str, **variables: str) -> subprocess.CompletedProcess[str
     )  # fmt: skip
 
 
-def test_submit_wait_open_fetch(client: Client, scene: dict[str, Any], tmp_path: Path) -> None:
+def test_submit_wait_open_fetch(
+    client: Client, server: Any, scene: dict[str, Any], tmp_path: Path
+) -> None:
     seen: list[dict[str, Any]] = []
     job = client.submit(scene).wait(60, progress=seen.append)
     assert job.phase == "COMPLETED"
@@ -49,6 +51,10 @@ def test_submit_wait_open_fetch(client: Client, scene: dict[str, Any], tmp_path:
     assert job.report()["content_digest"] == job.facts["content_digest"]
     assert job.scene()["name"] == "small"
     assert job.id in [j.id for j in client.jobs("COMPLETED")]
+    [chunk] = server.home.rglob(f"{job.id}/**/dn/c/1/0/0")
+    chunk.unlink()
+    with pytest.raises(Damaged, match=rf"{job.id}.*dn/c/1/0/0: damaged: this chunk is lost"):
+        job.open().dn[1].load()
     job.delete()
     with pytest.raises(ServiceError) as error:
         client.job(job.id)

@@ -7,6 +7,7 @@ import copy
 import errno
 import json
 import os
+import pickle
 import shutil
 from contextlib import ExitStack
 from dataclasses import replace
@@ -141,10 +142,10 @@ def test_every_flipped_bit_is_named(product, layer):
 
 @pytest.mark.parametrize("lost", ["dn/c/1/0/1", "dn/c/1/0", "dn/zarr.json", "dn"])
 def test_what_is_lost_of_a_layer_is_never_read_as_zeros(product, tmp_path, lost):
-    """Nor exported or calibrated; the other frame of a layer that lacks a chunk is read."""
+    """Nor by xarray, nor exported or calibrated; the other frame of such a layer is read."""
     path = product / "cube.zarr" / lost
     shutil.rmtree(path) if path.is_dir() else path.unlink()
-    with pytest.raises(Damaged, match=r"cube\.zarr/dn: damaged: ") as told:
+    with pytest.raises(Damaged, match=r"cube\.zarr/dn.*: damaged: ") as told:
         read_layer(product, "dn", 1)
     with pytest.raises(Damaged):
         list(export_frames(product, "fits", tmp_path / "out"))
@@ -153,6 +154,18 @@ def test_what_is_lost_of_a_layer_is_never_read_as_zeros(product, tmp_path, lost)
     if "/c/" in lost:
         assert f"{path}" in str(told.value)
         assert read_layer(product, "dn", 0).shape == (300, 520)
+        cube = pickle.loads(pickle.dumps(open_cube(product)))  # as it is sent to workers
+        assert cube["dn"][0].values.shape == (300, 520)
+        with pytest.raises(Damaged, match="this chunk is lost"):
+            cube["dn"][1, 10:20, 300:310].load()
+
+
+@pytest.mark.parametrize("name", ["time_mid", "wcs_cd_deg", "x"])
+def test_a_lost_coordinate_is_not_read_as_zeros(product, tmp_path, name):
+    """Be it stored as one shard of all frames or whole."""
+    shutil.rmtree(product / "cube.zarr" / name / "c")
+    with pytest.raises(Damaged, match=f"cube.zarr/{name}/c/.*: this chunk is lost"):
+        open_cube(product).load()
 
 
 @pytest.mark.parametrize(
