@@ -15,7 +15,7 @@ from pipeline.spec.pointing.pointing import Pointing, TargetPointing
 from pipeline.spec.sensor.cosmic_rays import CosmicRays
 from pipeline.spec.sensor.sensor import Sensor
 from pipeline.spec.sky.background import Background
-from pipeline.spec.strict import Strict
+from pipeline.spec.strict import MAX_PATH, FilePath, Strict
 from pipeline.spec.targets.body import Body, Lighting
 from pipeline.spec.targets.mesh import MeshBody
 from pipeline.spec.targets.orbit import Orbit
@@ -36,11 +36,10 @@ LAYERS = (
 USUAL_FRACTION = 0.05  # of its noise that a pixel may err by where a scene says nothing else
 HIGHEST_BELOW_AIRGLOW_M = 50_000  # its layer is at 90 km: up to here it errs by its own 50%
 CELL_PX = 256  # the fixed unit of the focal plane: tiles are unions of whole cells
-MAX_CATALOGUES, MAX_PATH = 8, 1024
+MAX_CATALOGUES = 8
 MOST_TARGETS = 100_000
 
-CataloguePath = Annotated[str, Field(min_length=1, max_length=MAX_PATH)]
-CatalogueList = Annotated[tuple[CataloguePath, ...], Field(min_length=1, max_length=MAX_CATALOGUES)]
+CatalogueList = Annotated[tuple[FilePath, ...], Field(min_length=1, max_length=MAX_CATALOGUES)]
 
 
 class Accuracy(Strict):
@@ -94,7 +93,7 @@ class Exposure(Strict):
 class Stars(Strict):
     """Stars of one catalogue, or of several in layers, and which effects move them."""
 
-    catalogue: CataloguePath | CatalogueList = Field(
+    catalogue: FilePath | CatalogueList = Field(
         description="path or URL of a catalogue; or a list: the main one, then layers over it, "
         "whose stars are drawn where no earlier one holds them"
     )
@@ -106,7 +105,7 @@ class Stars(Strict):
         json_schema_extra={"anyOf": [{"type": "number"}, {"const": "auto"}, {"type": "null"}]},
     )
     limit_from_noise: bool = Field(False, description="what faintest_g_mag: auto stands for")
-    colour_fit: CataloguePath | None = Field(
+    colour_fit: FilePath | None = Field(
         None, description="file of `nightglass color-fit -o`; default: the stellar library's fit"
     )
     space_motion: bool = True

@@ -20,6 +20,8 @@ NOT_YET = {
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+MAX_PATH = 1024
+FilePath = Annotated[str, Field(min_length=1, max_length=MAX_PATH)]
 
 
 class Strict(BaseModel):

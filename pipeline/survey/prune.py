@@ -38,8 +38,8 @@ def never_seen(
     the sky changes), they are fainter than that. Nor does a satellite see itself.
     """
     days = _days(watcher, watch, elements)
-    motion, ecc, tilt = elements.mean[:, 5], elements.mean[:, 1], elements.mean[:, 3]
-    low, high = radius_bounds_m(motion, ecc, days)
+    bstar, ecc, _, tilt, _, motion, _ = elements.mean.T
+    low, high = radius_bounds_m(motion, ecc, tilt, bstar, days)
     radius = np.sqrt(np.sum(watch.observer_m**2, axis=-1))
     nearest = np.maximum(1.0, least_range_m(radius.min(), radius.max(), low, high))
     reflected = sphere_intensity_per_irradiance(0.0, 1.0, 1.0) * elements.reflecting_m2

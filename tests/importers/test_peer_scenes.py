@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from pipeline.cli import app
 from pipeline.errors import BadInput
 from pipeline.importers.passes import Pass, zenith_pass
-from pipeline.importers.placing import electrons_of_sunlight, far_observer
+from pipeline.importers.placing import Wanted, astray, electrons_of_sunlight, far_observer, place
 from pipeline.importers.satsim import read_satsim, sphere_mag
 from pipeline.importers.satsim_values import settled
 from pipeline.importers.simsit import radial_terms, read_simsit
@@ -659,6 +659,23 @@ def test_a_far_observer_has_the_earth_at_its_back(ra_deg, dec_deg):
     assert place @ velocity == pytest.approx(0.0, abs=1e-3)
     assert np.linalg.norm(velocity) == pytest.approx(np.sqrt(3.986004418e14 / 1e9), rel=1e-9)
     assert np.cross(place, velocity)[2] > 0.0
+
+
+@pytest.mark.parametrize(("x_px", "y_px", "told_px"), [(50.0, 300.0, 0.25), (300.0, 50.0, 0.0)])
+def test_lines_are_off_only_where_they_lie_in_the_frame(x_px, y_px, told_px):
+    """A frame of 400 rows and 100 columns; the target is placed a quarter of a pixel off."""
+    scene = {
+        "schema": "nightglass/scene/1", "name": "tall", "epoch": EPOCH,
+        "observer": far_observer(40.0, -30.0),
+        "sensor": {"shape": [400, 100], "pixel_pitch_um": 9.0, "focal_length_m": 1.0,
+                   "aperture_m": 0.4, "bandpass": {"kind": "box", "short_nm": 400, "long_nm": 900},
+                   "psf": {"kind": "gaussian", "sigma_px": 1.0}},
+        "pointing": {"mode": "sidereal", "boresight_ra_deg": 40.0, "boresight_dec_deg": -30.0},
+        "exposure": {"integration_s": 1.0, "frames": 2},
+    }  # fmt: skip
+    placed = place(scene, [Wanted("a", x_px - 0.25, y_px, 1.0, 2.0, 1e3)])
+    off_px = astray(placed, [Wanted("a", x_px, y_px, 1.0, 2.0, 1e3)])
+    assert off_px == pytest.approx(told_px, abs=2e-4)
 
 
 def test_radial_terms_of_a_known_distortion():

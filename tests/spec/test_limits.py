@@ -148,3 +148,16 @@ def test_a_list_is_not_too_short_because_its_item_is_wrong():
     with pytest.raises(InvalidScene) as caught:
         parse_scene(BASE | {"dwells": [{"integration_s": -1}]})
     assert [field for field, *_ in caught.value.mistakes] == ["dwells.0.integration_s"]
+
+
+def test_each_dwell_points_at_a_target_that_is_there():
+    ball = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2}
+    orbit = {"kind": "state", "position_m": [7e6, 0, 0], "velocity_m_s": [0, 7500, 0]}
+    scene = BASE | {"targets": [{"name": "one", "orbit": orbit, "body": ball}]}
+    at = [{"pointing": {"mode": "target", "target": name}} for name in ("one", "other")]
+    parse_scene(scene | {"dwells": at[:1]})
+    with pytest.raises(InvalidScene) as caught:
+        parse_scene(scene | {"dwells": at})
+    assert caught.value.mistakes == [
+        ("dwells.1.pointing.target", "other", "allowed: the name of a target: one")
+    ]

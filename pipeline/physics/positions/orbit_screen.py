@@ -12,6 +12,7 @@ from sgp4.api import SatrecArray
 
 from pipeline.physics.constants import DAY_S, EARTH_GM_M3_S2, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.earth import teme_to_gcrs
+from pipeline.physics.positions.orbit_bounds import DECAYED, have_decayed
 from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
 from pipeline.physics.positions.times import instants
 from pipeline.physics.vectors import separation
@@ -187,6 +188,7 @@ def states_together(
     late = since_s - (since_s[0] - dates * DAY_S)
     if late.any():
         place += late[:, None, None] * speed
+    errors[have_decayed(satellites, (since_s[:, None] + middles) / 60.0)] = DECAYED
     codes = _codes(errors, place, speed)
     place *= 1e3
     speed *= 1e3
@@ -253,6 +255,8 @@ def states_apart(
         )
         place[pairs], speed[pairs] = r * 1e3, v * 1e3
         codes[pairs] = _codes(errors, r, v)
+    those, of = np.unique(who, return_inverse=True)
+    codes[have_decayed([satellites[i] for i in those], (since_s[who] + when) / 60.0, of)] = DECAYED
     bad = codes != WHOLE
     place[bad], speed[bad] = 1e7, 0.0
     return place, speed, codes

@@ -14,6 +14,7 @@ from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.physics.constants import DAY_S
 from pipeline.physics.positions.earth import teme_to_gcrs
+from pipeline.physics.positions.orbit_bounds import DECAYED, have_decayed
 from pipeline.physics.positions.times import Instants, elapsed_s, format_utc, parse_utc
 
 if TYPE_CHECKING:
@@ -74,6 +75,7 @@ def satellite_states(
     errors, position_km, velocity_km_s = satellite.sgp4_array(
         np.full_like(days, epoch[0]), epoch[1] + days
     )
+    errors[have_decayed([satellite], days[None] * 1440.0)[0]] = DECAYED
     bad = (errors != 0) | ~np.all(np.isfinite(position_km), axis=-1)
     if np.any(bad):
         i = int(np.argmax(bad))
@@ -113,6 +115,7 @@ def many_states(
         start = np.full(days.shape[1], satellite.jdsatepoch)
         found = satellite.sgp4_array(start, satellite.jdsatepochF + days[i])
         codes[i], out[0, i], out[1, i] = found
+    codes[have_decayed(satellites, days * 1440.0)] = DECAYED
     bad = (codes != 0) | ~np.isfinite(out[0]).all(axis=-1)
     if bad.any():
         i, k = np.argwhere(bad)[0]

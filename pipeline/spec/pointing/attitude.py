@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self, TypeVar
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from pipeline.spec.strict import Strict
+from pipeline.spec.strict import FilePath, Strict
 
 MOST_POINTS = 5000  # of a spectrum that a scene holds itself
 MOST_PARTS, MOST_STATES = 50, 40
@@ -17,7 +17,6 @@ Arcsec = Annotated[float, Field(ge=0, le=1e6)]
 Hertz = Annotated[float, Field(ge=1e-9, le=1e7)]
 Seconds = Annotated[float, Field(ge=1e-9, le=1e9)]
 Axis = Literal["x", "y", "roll"]
-FilePath = Annotated[str, Field(min_length=1, max_length=1024)]
 Points = Field(min_length=2, max_length=MOST_POINTS)
 Density = Annotated[float, Field(ge=0, le=1e20)]
 Row = Annotated[tuple[float, ...], Field(min_length=1, max_length=MOST_STATES)]

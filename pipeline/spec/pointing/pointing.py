@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from pipeline.spec.pointing.attitude import AttitudeModel, FilePath
-from pipeline.spec.strict import Strict
+from pipeline.spec.pointing.attitude import AttitudeModel
+from pipeline.spec.strict import FilePath, Strict
 
 Turn_deg = Annotated[float, Field(ge=-360, le=360)]
 Rate = Annotated[float, Field(ge=-1e7, le=1e7)]  # arcsec/s or arcsec/s2: what can be drawn is less

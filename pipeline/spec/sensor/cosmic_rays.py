@@ -6,9 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from pipeline.spec.strict import Strict
+from pipeline.spec.strict import FilePath, Strict
 
-MAX_PATH = 1024
 SPACE_RATE_PER_CM2_S = 5.0  # galactic cosmic rays far above the Earth, solar minimum
 GROUND_RATE_PER_CM2_S = 1.0 / 60.0  # muons at sea level on a level surface
 SPACE_HELIUM_SHARE = 0.09  # of primary cosmic rays (Glossary of Meteorology, AMS)
@@ -59,7 +58,7 @@ class LibraryCosmicRays(Strict):
     """
 
     kind: Literal["library"]
-    path: Annotated[str, Field(min_length=1, max_length=MAX_PATH)]
+    path: FilePath
     rate_scale: float = Field(1.0, ge=0, le=1e6, description="relative to the recorded rate")
     arrival: Literal["poisson", "frames"] = "poisson"
     after_flat: bool = Field(

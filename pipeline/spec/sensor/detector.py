@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from pipeline.spec.strict import Fraction, NotNegative, Positive, Strict
+from pipeline.spec.strict import FilePath, Fraction, NotNegative, Positive, Strict
 
 if TYPE_CHECKING:
     from pipeline.spec.sensor.sensor import Sensor
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 Index = Annotated[int, Field(ge=0, lt=60_000)]
 Rms = Annotated[float, Field(ge=0, le=1e9)]
 Indices = Annotated[tuple[Index, ...], Field(max_length=60_000)]
-ImagePath = Annotated[str, Field(min_length=1, max_length=1024)]
 MOST_LISTED = 100_000
 
 
@@ -39,7 +38,7 @@ class Failing(Strict):
     )
     rows: Indices = ()
     columns: Indices = ()
-    map: ImagePath | None = Field(
+    map: FilePath | None = Field(
         None, description="image (FITS, NPY, Zarr) of the focal plane; not 0 where the fault is"
     )
     fraction: Fraction = Field(0.0, description="each pixel fails with this chance, by the seed")

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from pipeline.spec.strict import Strict
+from pipeline.spec.strict import FilePath, Strict
 
 HIGHEST_ORDER = 9
 HIGHEST_TPV = 39
@@ -114,7 +114,7 @@ class FileDistortion(Strict):
     """A FITS file, or a FITS header as text, with a SIP or TPV WCS; its pointing is not used."""
 
     kind: Literal["file"]
-    path: Annotated[str, Field(min_length=1, max_length=1024)]
+    path: FilePath
 
 
 Distortion = Annotated[

@@ -10,10 +10,9 @@ from pydantic_core import PydanticCustomError
 
 from pipeline.spec.sensor.detector import Detector, check_detector
 from pipeline.spec.sensor.distortion import Distortion
-from pipeline.spec.strict import Positive, Strict
+from pipeline.spec.strict import FilePath, Positive, Strict
 
-ImagePath = Annotated[str, Field(min_length=1, max_length=1024)]
-NumberOrImage = float | ImagePath
+NumberOrImage = float | FilePath
 
 
 class BoxBand(Strict):
@@ -45,7 +44,7 @@ class TableBand(Strict):
     """A CSV file of two columns, wavelength_nm and transmission."""
 
     kind: Literal["table"]
-    path: ImagePath
+    path: FilePath
 
 
 Bandpass = Annotated[BoxBand | NamedBand | TableBand, Field(discriminator="kind")]
@@ -227,7 +226,7 @@ class TablePsf(PsfShape):
     """An image of the light: .npy, .fits, or a listing of OpticStudio (FFT, Huygens) or CODE V."""
 
     kind: Literal["table"]
-    path: ImagePath
+    path: FilePath
     samples_per_px: float | None = Field(None, ge=0.25, le=256)
     sample_um: float | None = Field(None, gt=0, le=1000, description="instead of samples_per_px")
     centre: Literal["file", "middle", "sample", "peak", "centroid"] | tuple[Place, Place] | None = (
@@ -319,21 +318,21 @@ class Sensor(Strict):
     obscuration: float = Field(0.0, ge=0, lt=1, description="linear: inner over outer diameter")
     fill_factor: float = Field(1.0, gt=0, le=1)
     bandpass: Bandpass
-    transmission: Passed | ImagePath = 1.0
-    quantum_efficiency: Passed | ImagePath = 1.0
+    transmission: Passed | FilePath = 1.0
+    quantum_efficiency: Passed | FilePath = 1.0
     psf: Psf
     distortion: Distortion | None = None
     full_well_e: Annotated[float, Field(gt=0, le=1e18)] | None = None
-    gain_e_per_dn: Annotated[float, Field(ge=1e-9, le=1e6)] | ImagePath = 1.0
+    gain_e_per_dn: Annotated[float, Field(ge=1e-9, le=1e6)] | FilePath = 1.0
     adc_bits: int = Field(16, ge=1, le=63)
     adc_rounding: Literal["half_even", "floor"] = "half_even"
-    bias_dn: Annotated[float, Field(ge=-1e19, le=2e19)] | ImagePath = 0.0
-    flat: Annotated[float, Field(ge=1e-6, le=1e3)] | ImagePath = 1.0
-    dark_e_per_s: Annotated[float, Field(ge=0, le=1e12)] | ImagePath = 0.0
+    bias_dn: Annotated[float, Field(ge=-1e19, le=2e19)] | FilePath = 0.0
+    flat: Annotated[float, Field(ge=1e-6, le=1e3)] | FilePath = 1.0
+    dark_e_per_s: Annotated[float, Field(ge=0, le=1e12)] | FilePath = 0.0
     dark_scale: float = Field(
         1.0, ge=1e-12, le=1e12, description="e-/s for each unit of the image in dark_e_per_s"
     )
-    read_noise_e: Annotated[float, Field(ge=0, le=1e9)] | ImagePath = 0.0
+    read_noise_e: Annotated[float, Field(ge=0, le=1e9)] | FilePath = 0.0
     photon_noise: bool = True
     pupil_projection: bool = Field(
         True,

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from pipeline.spec.strict import Strict
+from pipeline.spec.strict import FilePath, Strict
 
 
 class TablePst(Strict):
@@ -21,7 +21,7 @@ class TablePst(Strict):
     """
 
     kind: Literal["table"]
-    path: str = Field(min_length=1, max_length=1024)
+    path: FilePath
     holds_transmission: bool = True
     beyond: Literal["refuse", "zero", "clip"] | None = None
 
@@ -59,9 +59,7 @@ class StrayLight(Strict):
     sun: bool = True
     moon: bool = True
     earth: bool = True
-    earth_albedo: (
-        Annotated[float, Field(ge=0, le=1)] | Annotated[str, Field(min_length=1, max_length=1024)]
-    ) = 0.3
+    earth_albedo: Annotated[float, Field(ge=0, le=1)] | FilePath = 0.3
     exclusion_deg: Annotated[float, Field(ge=0, le=90)] | None = None
     inside: Literal["refuse", "extrapolate", "clip"] = "refuse"
 

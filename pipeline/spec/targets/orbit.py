@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from pipeline.spec.strict import NotNegative, Strict
+from pipeline.spec.strict import FilePath, NotNegative, Strict
 
 MOST_ROWS = 20_000  # of a table that a scene holds itself
 Metres = Annotated[float, Field(ge=-1e13, le=1e13)]
@@ -60,7 +60,6 @@ def _one_of(model: object, *names: str) -> None:
         )
 
 
-FilePath = Annotated[str, Field(min_length=1, max_length=1024)]
 Pick = Annotated[
     str | None,
     Field(max_length=80, description="object name, number or id, where a file holds several"),

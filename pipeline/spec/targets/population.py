@@ -7,9 +7,8 @@ from typing import Annotated
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from pipeline.spec.strict import Fraction, Strict
+from pipeline.spec.strict import FilePath, Fraction, Strict
 from pipeline.spec.targets.body import Body, Size, SphereBody
-from pipeline.spec.targets.orbit import FilePath
 
 MOST_POPULATIONS, MOST_RULES, MOST_TOLD = 16, 100, 50
 

@@ -21,6 +21,8 @@ from pipeline.physics.positions.orbit import (
     tle_states_teme,
     two_body,
 )
+from pipeline.physics.positions.orbit_bounds import brouwer_axis, drag_terms, shrinking
+from pipeline.physics.positions.orbit_screen import states_apart, states_together
 from pipeline.physics.positions.orbit_sgp4 import (
     many_states,
     mean_satellite,
@@ -156,6 +158,48 @@ def test_limits_decayed_orbit_says_so() -> None:
     drag = with_checksum(LINE1[:53] + " 99999-1" + LINE1[61:])
     with pytest.raises(BadInput, match="SGP4 code"):
         tle_states(drag, low, instants(parse_utc("2019-05-20T00:00:00Z"), np.array([0.0])))
+
+
+def test_the_shrinking_of_orbits_is_that_of_sgp4(published: Path) -> None:
+    """Mean semi-major axes of the verification set, hours to months from their epochs; of deep
+    orbits, which Sun and Moon move, not those."""
+    count = 0
+    for line1, line2, _ in verification(published):
+        one = Satrec.twoline2rv(line1, line2, WGS72)
+        mean = [np.array([v]) for v in (one.bstar, one.ecco, one.inclo)]
+        axis = brouwer_axis(np.array([one.no_kozai]), *mean[1:])
+        assert axis == pytest.approx(one.a, rel=1e-15)
+        for minutes in (-5000.0, 0.0, 600.0, 10_000.0, 100_000.0):
+            f = shrinking(drag_terms(*mean, axis), np.array([minutes]))[0]
+            if one.sgp4_tsince(minutes)[0] == 0 and one.method == "n" and f > 0.5:
+                assert one.am / one.a == pytest.approx(f**2, rel=1e-12)
+                count += 1
+    assert count > 30
+
+
+def test_limits_an_orbit_does_not_rise_again_from_the_ground() -> None:
+    """SGP4 alone gives places to one that came down weeks ago: ten times as far, and more."""
+    one = mean_satellite(ELEMENTS | {"bstar": 0.02, "eccentricity": 1e-4})
+    days = np.arange(0.0, 75.0, 0.01)
+    codes, place, _ = one.sgp4_array(np.full(days.size, one.jdsatepoch), one.jdsatepochF + days)
+    down = days[np.argmax(codes != 0)]
+    assert 15.0 < down < 20.0
+    assert codes[-1] == 0
+    assert np.linalg.norm(place[-1]) > 7e4
+    epoch = parse_utc(ELEMENTS["epoch"])
+    whole = mean_satellite(ELEMENTS)
+    for day in (down + 0.5, 45.0, 65.0, 75.0, 5000.0):
+        after_s, since = day * 86_400.0, np.zeros(2)
+        at = instants(epoch, [after_s])
+        with pytest.raises(BadInput, match=r"orbit: 'x' .* \(SGP4 code 6: .* has decayed\)"):
+            satellite_states(one, "x", at)
+        with pytest.raises(BadInput, match=r"b: 'y' .* \(SGP4 code 6"):
+            many_states([whole, one], ["x", "y"], ["a", "b"], since, np.full((2, 1), after_s),
+                        teme_to_gcrs(at))  # fmt: skip
+        *_, codes = states_together([whole, one], since, np.array([0.0, after_s]))
+        assert codes.tolist() == [[-1, -1], [-1, 6]]
+        *_, codes = states_apart([whole, one], since, np.array([1, 0]), np.full(2, after_s))
+        assert codes.tolist() == [6, -1]
 
 
 def test_limits_below_the_ground() -> None:
