@@ -23,8 +23,9 @@ from pipeline.plan.accuracy import (
     total_sigma,
 )
 from pipeline.plan.decision import Decision
+from pipeline.plan.facts import planned_floor_e
 from pipeline.route.prepare import plan_scene
-from pipeline.spec.load import load_scene, parse_scene
+from pipeline.spec.load import load_scene, parse_scene, parse_yaml
 from pipeline.studies.scenes.scenes import requests
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -200,3 +201,12 @@ def test_what_follows_from_the_light_of_all_sources_takes_the_place_of_a_part() 
     assert [d.error_bound_e for d in drawn] == [0.5, 1.0, None]
     assert total_sigma(drawn) == pytest.approx(0.05 + 0.01)
     assert [d.component for d in drawn] == [d.component for d in lines]
+
+
+@pytest.mark.parametrize(("noise_floor_e", "floor_e"), [(None, 5.0), (2.0, 2.0), (100.0, 5.0)])
+def test_drawing_is_planned_for_no_more_noise_than_there_is(
+    noise_floor_e: float | None, floor_e: float
+) -> None:
+    data = parse_yaml((ROOT / "pipeline" / "scenes" / "demo.yaml").read_text(), "demo.yaml")
+    accuracy = {"noise_floor_e": noise_floor_e} if noise_floor_e else {}
+    assert planned_floor_e(parse_scene(data | {"accuracy": accuracy}), 5.0) == floor_e

@@ -194,8 +194,8 @@ def test_every_text_of_a_scene_is_known_here() -> None:
             yield at
         for inner in (*node.get("anyOf", ()), *node.get("oneOf", ())):
             yield from texts(inner, at)
-        several = (node.get("items"), node.get("additionalProperties"), *node.get("prefixItems", ()))
-        for inner in several:
+        several = (node.get(key) for key in ("items", "additionalProperties"))
+        for inner in (*several, *node.get("prefixItems", ())):
             if isinstance(inner, dict):
                 yield from texts(inner, (*at, "*"))
         for name, inner in node.get("properties", {}).items():

@@ -823,3 +823,19 @@ def test_places_that_look_wrong_are_told(tmp_path, turn, kind, said):
     if kind == "float32":  # what is told is the rounding of single precision near 360 degrees
         off_mas = 3.6e6 * np.abs(ra.astype(kind).astype(float) - ra).max()
         assert 40.0 < off_mas <= 55.0
+
+
+def test_stars_at_one_place_stand_by_their_ids_whatever_the_order_of_the_files(tmp_path):
+    """Five in one pixel of order 29, and one beside: the shard has the same bits."""
+    stars = ["7,10.0,20.0,12.0", "3,10.0,20.0,15.0", "9,10.0,20.0,11.0", "5,10.0,20.0,13.0",
+             "2,10.0,20.0,14.0", "1,10.1,20.0,14.0"]  # fmt: skip
+    found = []
+    for k, order in enumerate((stars, stars[::-1], sorted(stars))):
+        files = [tmp_path / f"{k}-{i}.csv" for i in range(2)]
+        for i, file in enumerate(files):
+            file.write_text("\n".join([HEAD, *order[3 * i : 3 * i + 3], ""]))
+        ingest(files, tmp_path / f"catalogue{k}", workers=1)
+        found.append(shard_bits(open_catalogue(tmp_path / f"catalogue{k}")))
+    assert found[0] == found[1] == found[2]
+    rows = cone(open_catalogue(tmp_path / "catalogue0"), 10.0, 20.0, 0.01).to_pydict()
+    assert rows["source_id"] == [2, 3, 5, 7, 9]

@@ -524,3 +524,15 @@ def test_flicker_bounds_the_error_at_the_edge_of_the_shadow() -> None:
                 exact, dx=1 / 1024
             )
             assert abs(error - 1) <= flicker_share(g) + 1e-9
+
+
+def test_of_several_orbits_the_one_that_comes_into_the_earth_is_named() -> None:
+    """It starts farther out than the other, and falls while that goes round."""
+    round_ = StateOrbit(kind="state", position_m=(7e6, 0.0, 0.0), velocity_m_s=(0.0, 7546.0, 0.0))
+    falls = StateOrbit(kind="state", position_m=(0.0, 9e6, 0.0), velocity_m_s=(0.0, -8e3, 0.0))
+    for orbits, field in (([round_, falls], "b"), ([falls, round_], "a")):
+        movers = Movers(orbits, ["a", "b"], EPOCH, instants(EPOCH, np.zeros(2), 0.0))
+        movers.states(np.tile([0.0, 60.0], (2, 1)))
+        with pytest.raises(BadInput) as told:
+            movers.states(np.tile([0.0, 400.0], (2, 1)))
+        assert told.value.field == field

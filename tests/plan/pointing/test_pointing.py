@@ -23,9 +23,9 @@ from pipeline.plan.pointing.geometry import (
     star_paths,
 )
 from pipeline.plan.pointing.motion_runs import mode_states
-from pipeline.plan.pointing.pointing import swept_rad
+from pipeline.plan.pointing.pointing import rows_s, swept_rad
 from pipeline.plan.pointing.star_paths import excursions_px
-from pipeline.plan.timing import frame_count, frame_times
+from pipeline.plan.timing import dwell_plans, frame_count, frame_times
 from pipeline.spec.scene import Scene
 
 Make = Callable[..., Scene]
@@ -428,3 +428,27 @@ def test_what_an_exposure_sweeps_is_bounded_by_its_last_rate(scene: Make) -> Non
              "acceleration_ra_arcsec_s2": 0.6, "acceleration_dec_arcsec_s2": 0.8}  # fmt: skip
     pointing = scene({"pointing": SIDEREAL | {"mode": "rate"} | rates}).pointing
     assert 28.0 <= swept_rad(pointing, 10.0, 2.0) / ARCSEC <= 30.0 + 1e-9
+
+
+def test_rows_of_a_table_of_another_epoch_are_timed_by_the_scenes(scene: Make) -> None:
+    """Whose epoch is ten seconds after the table's."""
+    rows = [[t, 0.0, 0.0, 0.0, 1.0] for t in (0.0, 10.0, 12.5, 60.0)]
+    table = {"mode": "table", "frame": "icrs", "scalar": "last", "rows": rows,
+             "epoch": "2019-04-20T02:59:50Z"}  # fmt: skip
+    s = scene({"pointing": table})
+    [plan] = dwell_plans(s)
+    assert rows_s(s, plan, s.pointing) == pytest.approx([-10.0, 0.0, 2.5, 50.0], abs=1e-9)
+
+
+@pytest.mark.parametrize("shortest_s", [0.1, 0.4])
+def test_blur_leaves_out_what_the_shortest_exposure_sees(scene: Make, shortest_s: float) -> None:
+    """Jitter of one density far above them all: its mean over T varies as 1 / T."""
+    noise = {"kind": "white", "rms_arcsec": 4.0, "low_hz": 1e-3, "high_hz": 1e4}
+    pointing = SIDEREAL | {"attitude": {"jitter": [noise]}}
+    several, longest = (
+        motion_plan(scene({"pointing": pointing, "dwells": [{"integration_s": times}]}))
+        for times in ([6.4, shortest_s], [6.4])
+    )
+    assert several.nodes == longest.nodes
+    ratio = several.left_px / longest.left_px
+    assert ratio == pytest.approx(math.sqrt(6.4 / shortest_s), rel=0.3)

@@ -19,6 +19,7 @@ from pipeline.plan.bodies.changes import apart_s, has_means, looks_asked, most_l
 from pipeline.plan.bodies.changes import mean_light as mean_light_around
 from pipeline.plan.pointing.geometry import _geometry, plan_geometry
 from pipeline.plan.pointing.timescales import hurried_remarks, light_off, looks
+from pipeline.plan.sensor.rolling import _of_every_dwell
 from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Scene
@@ -339,3 +340,16 @@ def test_means_around_nodes_hold_the_whole_light() -> None:
         steady = mean_light_around(lambda u: 2.0 + u, nodes, least, 2**17, 1e-5)
         between = np.linspace(2.0, 3.0, nodes)[1:-1]
         np.testing.assert_allclose(steady[1:-1], between, rtol=1e-9)
+
+
+def test_a_rolling_shutter_is_judged_by_both_ends_of_every_dwell() -> None:
+    """A turn that grows in a dwell of seven frames is refused by its last frame."""
+    shutter = {"detector": {"readout": {"kind": "rolling", "line_s": 0.01}}}
+    growing = {"mode": "rate", "boresight_ra_deg": 266.2093, "boresight_dec_deg": 0.0,
+               "rate_ra_arcsec_s": 0.0, "rate_dec_arcsec_s": 0.0,
+               "acceleration_ra_arcsec_s2": 60.0}  # fmt: skip
+    still = SCENE["pointing"]
+    dwells = [{"pointing": growing, "frames": 7}, {"pointing": still, "frames": 2}]
+    made = scene(sensor=SCENE["sensor"] | shutter, dwells=dwells, targets=[])
+    g = plan_geometry(made, np.array([0]), 0.0)
+    assert _of_every_dwell(made, g, 0.0).frame.tolist() == [0, 6, 7, 8]

@@ -386,3 +386,17 @@ def test_a_body_beside_an_oblong_frame_is_not_in_it(scene, shape):
                 lamp = _Body(towards, 3.0 * ifov_rad(camera), 1.0)
                 with pytest.raises(BadInput) if inside else nullcontext():
                     _check_frame(s, attitude, "Moon", lamp)
+
+
+def test_each_frame_is_lit_as_its_own_camera_turns(scene, curve):
+    """The first dwell rests, the second turns: its frame, alone or after the other, is the same."""
+    wish = {"pst": {"kind": "table", "path": curve}, "inside": "extrapolate", "sun": False}
+    turning = {"mode": "rate", "boresight_ra_deg": 192.0, "boresight_dec_deg": 0.0,
+               "rate_ra_arcsec_s": 900.0, "rate_dec_arcsec_s": 0.0}  # fmt: skip
+    dwells = [at(192.0, 0.0) | {"frames": 1}, {"pointing": turning, "frames": 1}]
+    s, facts, inputs, g, _ = planned(scene, wish, {"observer": HIGH, "dwells": dwells})
+    light, (x, y) = LightOfSky(s, camera_of(s), facts, inputs, None), np.array([[128.0], [9.0]])
+    assert len(g.frame) == 2
+    both = light.at(g)(x, y)
+    for f in range(2):
+        assert np.array_equal(both[f], light.at(g.frame_slice(f))(x, y)[0])
