@@ -369,7 +369,7 @@ def bright(tmp_path_factory) -> Path:
 
 @pytest.mark.parametrize(
     ("below", "said"),
-    [("file/x", "Not a directory"), ("no/such/x", "No such file"), ("x" * 300, "name too long")],
+    [("file/x", "a path in a folder; "), ("no/such/x", "No such file"), ("x" * 300, "name too long")],
 )
 def test_a_path_where_no_file_can_be_is_bad_input(below, said, bright, tmp_path):
     (tmp_path / "file").touch()

@@ -1,5 +1,4 @@
-"""Bounds of orbits from their mean elements alone: how near they come, how far north they go, when
-drag has brought them down."""
+"""Bounds of orbits from their mean elements alone: how near, how far north, down since when."""
 
 from __future__ import annotations
 
