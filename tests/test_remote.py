@@ -433,3 +433,30 @@ def test_nothing_stays_in_a_store_where_memory_ends_before_a_tile(bucket, monkey
                 render(scene, objects.url, HERE)
         left = [name for name in objects.names() if not name.startswith(".lock")]
         assert (".begun.json" in left) == bool(left) == lost
+
+
+def test_a_writer_that_is_taken_over_as_it_finishes_seals_nothing(bucket, monkeypatch):
+    from catalog_tools.storage.objects import Objects
+    from pipeline.store import bucket as writing
+    from pipeline.store.lease import Lease
+
+    objects, bring, check_, away = Objects(f"{bucket}/over"), writing.remote.bring, Lease.check, []
+
+    def brought(*given):
+        bring(*given)
+        away.append(True)
+
+    def lost(lease):
+        if away:
+            raise Incomplete("another render has taken this product over")
+        check_(lease)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(writing.remote, "bring", brought)
+        patch.setattr(Lease, "check", lost)
+        with pytest.raises(Incomplete, match="taken this product over"):
+            render(parse_scene(SCENE), objects.url, HERE)
+    assert away
+    assert not {"_COMPLETE", "report.json"} & set(objects.names())
+    assert render(parse_scene(SCENE), objects.url, replace(HERE, resume=True))["tiles"] > 0
+    assert check(objects.url).whole

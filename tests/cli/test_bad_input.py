@@ -251,6 +251,18 @@ def test_bad_commands(arguments, words, tmp_path):
         assert word in result.stderr
 
 
+@pytest.mark.parametrize(
+    "option",
+    ["--resume", "--retry-failed", "--workers=2", "--scheduler=quick", "--slurm", "--point=0",
+     "--dry-run"],
+)  # fmt: skip
+def test_sweeps_of_a_server_take_no_option_of_runs_here(option):
+    result = nightglass("sweep", "no.yaml", "--server", "http://127.0.0.1:9", option)
+    assert result.returncode == 2
+    assert result.stderr.startswith("nightglass: --server: 'with them' is not accepted; allowed: ")
+    assert option.partition("=")[0] in result.stderr
+
+
 def test_scheduler_names(tmp_path, monkeypatch):
     monkeypatch.setattr(clusters, "ANSWER_S", 1.0)
     (tmp_path / "scene.json").write_text(json.dumps(SCENE))
@@ -369,8 +381,9 @@ def bright(tmp_path_factory) -> Path:
 
 @pytest.mark.parametrize(
     ("below", "said"),
-    [("file/x", "a path in a folder; "), ("no/such/x", "No such file"), ("x" * 300, "name too long")],
-)
+    [("file/x", "a path in a folder; "), ("no/such/x", "No such file"),
+     ("x" * 300, "name too long")],
+)  # fmt: skip
 def test_a_path_where_no_file_can_be_is_bad_input(below, said, bright, tmp_path):
     (tmp_path / "file").touch()
     out = tmp_path / f"{below}.csv"

@@ -27,6 +27,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +37,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from catalog_tools.engine.schedulers import LocalScheduler
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, TryLater
 from pipeline.route.prepare import prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import scene_yaml
 from pipeline.spec.scene import CELL_PX
+from pipeline.store import layout
 from pipeline.store.cube import open_cube
 from pipeline.store.markers import markers_present, read_marker
 from pipeline.store.product import check
@@ -278,3 +280,19 @@ def test_no_arithmetic_that_a_compiler_may_reorder():
                 for word in node.keywords if word.arg in ("fastmath", "parallel")
             ]  # fmt: skip
             assert not found, path
+
+
+@pytest.mark.parametrize("wait_s", [0.0, 30.0])
+def test_a_product_is_replaced_when_whoever_writes_it_has_ended(whole, tmp_path, wait_s):
+    path = tmp_path / "run"
+    before = render(whole({"seed": 12}), path)["content_digest"]
+    with ThreadPoolExecutor(1) as pool:
+        with layout.only_writer(path):
+            again = pool.submit(render, whole(), path, Options(replace=True, wait_s=wait_s))
+            time.sleep(2.0)
+            assert again.done() != bool(wait_s)
+        if not wait_s:
+            with pytest.raises(TryLater, match="another render"):
+                again.result()
+            return
+        assert again.result()["content_digest"] != before

@@ -605,6 +605,7 @@ def test_the_policy_lets_nothing_else_in(server: Any) -> None:
     assert "default-src 'none'" in policy
     assert "unsafe" not in policy
     assert "script-src 'self'" in policy
+    assert "img-src 'self' blob:" in policy  # pictures that are fetched with a key
     assert "http" not in policy
     for name in ("app.js", "style.css", "icon.svg"):
         answer = server.client.get(f"/page/{name}")

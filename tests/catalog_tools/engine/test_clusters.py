@@ -539,6 +539,7 @@ def test_for_much_work_as_many_jobs_are_asked_for_as_are_allowed(
             time.sleep(0.1)
         time.sleep(2)  # in which a fourth would be asked for
         assert (most, len(cluster.worker_spec)) == (3, 3)
+        assert cluster.dashboard_link.partition("//")[2].startswith("127.0.0.1:")
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from pipeline.inputs.sensor.cosmic_ray_darks import extract_library, open_darks
 from pipeline.inputs.sensor.cosmic_ray_library import read_library, write_library
 from pipeline.inputs.sensor.cosmic_rays import gather_cosmic_rays
 from pipeline.physics.cosmic_rays.frame import charge_e, truth_columns
-from pipeline.physics.cosmic_rays.library import Recorded
+from pipeline.physics.cosmic_rays.library import Library, Recorded
 from pipeline.physics.cosmic_rays.tracks import Flux
 from pipeline.resolve.resolve import resolve
 from pipeline.spec.load import parse_scene
@@ -378,3 +378,14 @@ def test_darks_without_an_event_make_no_library(tmp_path):
     assert result.returncode == 2
     assert "--threshold-sigma" in result.stderr
     assert not (tmp_path / "l.fits").exists()
+
+
+def test_tracks_that_lie_askew_keep_their_rows(tmp_path):
+    """One diagonal of single pixels, one whose rows begin a column on from where the last ended."""
+    x, y = np.array([3, 4, 5, 10, 11, 12, 13]), np.array([5, 6, 7, 20, 20, 21, 21])
+    one = Library(np.array([0, 3, 7]), x, y, np.arange(1.0, 8.0), 600.0, 10_000, 10.0, (100, 100),
+                  2, np.array([0, 1]))  # fmt: skip
+    write_library(tmp_path / "askew.fits", one)
+    back = read_library(tmp_path / "askew.fits")
+    for name in ("start", "x", "y", "electrons", "frame"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(one, name), err_msg=name)

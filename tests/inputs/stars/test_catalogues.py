@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -18,10 +19,12 @@ from pipeline.inputs.stars.catalogues import (
     colour_sentences,
     gather_left_out,
     mean_light,
+    undrawn_remarks,
 )
 from pipeline.physics.colour import ColourFit
 from pipeline.plan.coverage import FieldCoverage
 from pipeline.spec.load import parse_scene
+from tests.plan.test_plan import facts_of
 from tests.spec.test_limits import BASE
 
 
@@ -187,3 +190,16 @@ def test_light_beyond_a_limit_is_that_of_the_counts_the_sky_over():
     for limit in (6.0, 12.0, 18.0, 21.0, 25.0):
         counted = CountedLight().fainter(limit, sky).g.mean()
         assert mean_light(limit) == pytest.approx(counted, rel=0.1)
+
+
+def test_undrawn_light_is_told_of_the_longest_exposure():
+    """Of 0.1 and 400 s: two hundred times that of 0.1 and 2 s."""
+    fit = ColourFit("b", np.zeros(1), (0.0, 1.0), 0.0, 0.0, 0.5, 0.1, 0.0, 1e10, "made up", 1)
+    told = []
+    for longest_s in (2.0, 400.0):
+        scene = parse_scene(BASE | {
+            "stars": {"catalogue": "c", "faintest_g_mag": 12.0},
+            "dwells": [{"integration_s": [0.1, longest_s], "frames": 2}]})  # fmt: skip
+        [remark] = undrawn_remarks(scene, facts_of(scene), fit)
+        told.append(float(re.search(r"in the sky: (\S+) e- per pixel", remark)[1]))
+    assert told[1] / told[0] == pytest.approx(200.0, rel=0.02)

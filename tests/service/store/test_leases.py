@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -69,6 +70,26 @@ def test_a_lease_is_counted_from_before_it_was_asked_for(
     assert led.leads
     clock_s = 110.1
     assert not led.leads
+
+
+def test_what_still_runs_is_not_removed_though_it_was_deleted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its worker would write its folder anew; it goes when the worker has ended."""
+    settings, forgotten = Settings(tmp_path), list[str]()
+    for name in ("ended", "runs"):
+        settings.product(name).mkdir(parents=True)
+    store: Any = SimpleNamespace(
+        overdue=list, deleted=lambda: ["runs", "ended"], forget=forgotten.append
+    )
+    led = runner.Dispatcher(settings, store)
+    led._renewed_s = time.monotonic()
+    led._busy = {"runs": threading.current_thread()}
+    rounds = iter([False, True])
+    monkeypatch.setattr(led, "stopping", SimpleNamespace(wait=lambda _: next(rounds)))
+    led._keep()
+    assert forgotten == ["ended"]
+    assert [settings.product(name).exists() for name in ("ended", "runs")] == [False, True]
 
 
 def test_work_goes_on_after_a_clock_ran_ahead(
