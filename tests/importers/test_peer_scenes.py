@@ -514,6 +514,14 @@ def test_drawn_arrays_are_refused_in_one_line(satsim):
     assert "\n" not in str(told.value)
 
 
+@pytest.mark.parametrize("seed", [0, 5])
+def test_a_sample_inside_another_keeps_the_seed_of_its_own(seed):
+    inner = {"$sample": "random.uniform", "low": 0.0, "high": 1.0, "seed": seed}
+    drawn = {"$sample": "random.list", "length": 1, "value": inner, "seed": 3}
+    wanted = np.random.RandomState(seed).uniform(0.0, 1.0)
+    assert settled(drawn, np.random.default_rng(1), []) == [wanted]
+
+
 def test_what_chance_chose_is_told_by_its_place():
     """Each draw with its field, also of what is drawn in a list or by a choice; 6 digits."""
     third = {"$sample": "random.normal", "loc": 1.0 / 3.0, "scale": 0.0}

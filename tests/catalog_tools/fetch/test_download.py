@@ -372,6 +372,15 @@ def test_ledger_spares_hashing_and_verify_hashes(archive, tmp_path, hasty):
     assert visible(tmp_path) == archive.files
 
 
+def test_what_the_archive_has_made_anew_comes_anew(archive, tmp_path, hasty):
+    """By its digest in the list: its length and the file here are as they were."""
+    bring(archive, tmp_path, hasty)
+    name = min(archive.files)
+    archive.files[name] = b"!" + archive.files[name][1:]
+    assert bring(archive, tmp_path, hasty).downloaded == 1
+    assert visible(tmp_path) == archive.files
+
+
 def test_two_fetches_refuse_each_other(archive, tmp_path, hasty):
     with (
         folder_for(tmp_path, RELEASES["gaia-dr2"]),
