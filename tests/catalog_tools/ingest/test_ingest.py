@@ -839,3 +839,23 @@ def test_stars_at_one_place_stand_by_their_ids_whatever_the_order_of_the_files(t
     assert found[0] == found[1] == found[2]
     rows, _ = cone(open_catalogue(tmp_path / "catalogue0"), 10.0, 20.0, 0.01)
     assert rows["source_id"].to_pylist() == [2, 3, 5, 7, 9]
+
+
+def test_a_catalogue_that_came_while_the_lock_was_waited_for_is_not_replaced(tmp_path, monkeypatch):
+    """Two ingests of one name: the second looks for the name again once it is alone."""
+    for name in ("first", "second"):
+        (tmp_path / f"{name}.csv").write_text(f"{HEAD}\n1,10.0,20.0,12.0\n")
+    alone, bits = publish._alone, []
+
+    def first_comes_in_between(lock):
+        with monkeypatch.context() as patch:
+            patch.setattr(publish, "_alone", alone)
+            report = ingest([tmp_path / "first.csv"], tmp_path / "other", workers=1)
+        shutil.copytree(report.catalogue.path, tmp_path / "catalogue")
+        bits.append((tmp_path / "catalogue" / "nightglass.json").read_bytes())
+        return alone(lock)
+
+    monkeypatch.setattr(publish, "_alone", first_comes_in_between)
+    with pytest.raises(BadInput, match="output"):
+        ingest([tmp_path / "second.csv"], tmp_path / "catalogue", workers=1)
+    assert [(tmp_path / "catalogue" / "nightglass.json").read_bytes()] == bits

@@ -15,7 +15,7 @@ import sqlalchemy as sa
 
 from service.engine import runner
 from service.settings import Settings
-from service.store.database import connect, writing
+from service.store.database import connect, sqlite_url, writing
 from service.store.leases import take
 from service.store.tables import leases
 
@@ -135,3 +135,11 @@ def test_a_nearly_full_disk_is_not_ready(make_server: Callable[..., Any]) -> Non
     answer = make_server(NIGHTGLASS_FREE_BYTES=str(10**17)).client.get("/readyz")
     assert answer.status_code == 503
     assert answer.json() == {"ready": False, "faults": ["the disk is nearly full"]}
+
+
+def test_what_is_committed_is_on_the_disk(tmp_path: Path) -> None:
+    """SQLite's FULL (2): with NORMAL a power cut may take the last commits of its log back."""
+    engine = connect(sqlite_url(tmp_path / "jobs.sqlite"))
+    with writing(engine) as db:
+        assert db.exec_driver_sql("PRAGMA synchronous").scalar() == 2
+    engine.dispose()
