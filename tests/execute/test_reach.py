@@ -7,6 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from catalog_tools.ingest.ingest import ingest
+from pipeline.execute.check import _sweep
 from pipeline.execute.light import _reaches
 from pipeline.physics.motion.streak import Path
 from pipeline.plan.tiles import Tile
@@ -137,3 +138,10 @@ def test_a_tile_that_only_the_far_end_of_a_streak_lights(upright, far_px):
     x, y = (beside, there) if upright else (there, beside)
     assert _reaches(tile, 5.0, streak, x, y)
     assert not _reaches(tile, 5.0, streak, y, x)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "wanted"), [([-50.0, 0.0], [1.0, 0.0], 50.0), ([0.0, 3.0], [0.0, -70.0], 70.0)]
+)
+def test_a_path_sweeps_as_far_as_it_goes_whichever_way(x, y, wanted):
+    assert _sweep(Path(np.array(x), np.array(y), np.array([1.0]))) == wanted

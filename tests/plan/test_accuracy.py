@@ -24,6 +24,8 @@ from pipeline.plan.accuracy import (
 )
 from pipeline.plan.decision import Decision
 from pipeline.plan.facts import planned_floor_e
+from pipeline.plan.response.streaks import StreakPlan
+from pipeline.plan.sensor.detector import lag_depth
 from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import load_scene, parse_scene, parse_yaml
 from pipeline.studies.scenes.scenes import requests
@@ -210,3 +212,15 @@ def test_drawing_is_planned_for_no_more_noise_than_there_is(
     data = parse_yaml((ROOT / "pipeline" / "scenes" / "demo.yaml").read_text(), "demo.yaml")
     accuracy = {"noise_floor_e": noise_floor_e} if noise_floor_e else {}
     assert planned_floor_e(parse_scene(data | {"accuracy": accuracy}), 5.0) == floor_e
+
+
+def test_charge_is_carried_over_from_as_many_frames_as_are_worth_drawing(scene: Any) -> None:
+    """What is left of a full well after them is a quarter of a part of the noise, at most."""
+    lag = {"sensor.detector": {"lag": {"fraction": 0.09}}, "sensor.full_well_e": 9e4}
+    s = scene(lag)
+    depth, left_e = lag_depth(s, 5.0), 0.25 * part_sigma(s) * 5.0
+    assert 9e4 * 0.09 ** (depth + 1) <= left_e < 9e4 * 0.09**depth
+
+
+def test_streaks_are_off_by_half_a_step_and_all_that_they_were_merged_by() -> None:
+    assert StreakPlan(1, 1, 0.0, 0.0, 1, step_px=0.2, merge_px=0.3).rounding_px == 0.1 + 0.3

@@ -208,3 +208,14 @@ def test_a_narrow_blur_is_the_mean_of_few_places(optics):
     np.testing.assert_allclose(places, rings, rtol=1e-12)
     tiny = quadrature._blurred(optics, 1e-8, r_px, width_px)
     np.testing.assert_allclose(tiny, optics.intensity(r_px), rtol=1e-12, atol=1e-16)
+
+
+@pytest.mark.parametrize(("shape", "y", "x"), [((80, 8), 2.3, 60.8), ((8, 80), 60.8, 2.3)])
+def test_a_narrow_window_beside_a_source_has_all_its_light(
+    shape: tuple[int, int], y: float, x: float
+) -> None:
+    seen = draw_quadrature(Blur(MOFFAT), POINT, shape, (0, 0), y, x)
+    for row in (0, shape[0] - 1):
+        for column in (0, shape[1] - 1):
+            exact = pixel(MOFFAT.intensity, row - y, column - x)
+            assert seen[row, column] == pytest.approx(exact, rel=RELATIVE)

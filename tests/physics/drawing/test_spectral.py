@@ -19,6 +19,7 @@ from pipeline.physics.drawing.spectral_plan import (
     brightest_for,
     plan_spectral,
 )
+from pipeline.physics.drawing.spectral_spread import Kernel, spread_onto
 from pipeline.physics.drawing.stamps import draw_stamps
 from pipeline.physics.motion.streak import POINT, Path, path_through, transfer
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
@@ -421,3 +422,19 @@ def test_same_as_stamps_within_the_bounds(
     plan = plan_spectral((60, 70), core, path, asked * peak_light(core, path))
     off = np.abs(draw(plan, core, one(*place, light, path)) - by_stamps)
     assert off.max() <= light * (plan.error + stamps.cubic_error + 1e-8 * stamps.peak)
+
+
+@pytest.mark.parametrize("ny", [32, 40, 48, 64, 70])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_sources_in_every_row_of_bins_are_spread(ny: int, threads: int) -> None:
+    """An even or odd number of them, the last whole or not: each as the kernel has it."""
+    kernel, grid = Kernel(6, 13.0), np.zeros((ny, 40))
+    y = np.arange(4.0, ny - 4.0) + 0.3
+    x = 12.0 + 0.25 * np.arange(y.size) % 16.0
+    light = 1.0 + np.arange(y.size)
+    spread_onto(grid, 40, kernel, y, x, light, threads)
+    wanted = np.zeros_like(grid)
+    rows, columns = np.arange(ny), np.arange(40)
+    for k in range(y.size):
+        wanted += light[k] * np.outer(kernel.value(rows - y[k]), kernel.value(columns - x[k]))
+    assert np.abs(grid - wanted).max() < 1e-4 * wanted.max()

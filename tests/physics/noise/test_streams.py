@@ -7,6 +7,7 @@ import pytest
 from numba import njit
 from scipy import special, stats
 
+from pipeline.physics.noise.pixel_draws import inverted_poisson
 from pipeline.physics.noise.runs import quantiles
 from pipeline.physics.noise.streams import (
     normal_quantile,
@@ -187,3 +188,9 @@ def test_same_draws_elsewhere_when_one_pixel_changes() -> None:
     mean[13, 17] = 4e6
     after = poisson_image(mean, 0, 0, 0, *key)
     assert np.argwhere(before != after).tolist() == [[13, 17]]
+
+
+@pytest.mark.parametrize("mean", [1e-3, 0.4, 3.0, 9.99])
+def test_few_counts_are_the_inverse_of_their_distribution_to_its_far_end(mean: float) -> None:
+    for u in (1e-9, 0.3, 0.9, 1.0 - 1e-4, 1.0 - 1e-7, 1.0 - 1e-11):
+        assert inverted_poisson(mean, u) == stats.poisson.ppf(u, mean)

@@ -203,3 +203,12 @@ def test_noise_below_the_first_point_goes_on_with_its_line() -> None:
     true, read = np.array([10.0, 60.0, 100.0]), np.array([5.0, 45.0, 70.0])
     got = collected_e(np.array([-35.0, 5.0, 45.0, 95.0]), true, read)
     assert got == pytest.approx([10.0 - 50.0, 10.0, 60.0, 100.0 + 40.0])
+
+
+@pytest.mark.parametrize("flat", [1.0, np.ones((9, 5))])
+def test_bad_pixels_of_some_rows_are_counted_from_the_first_of_them(flat):
+    """Whether anything else of the sensor is a map or not."""
+    bad = np.array([1, 4, 6, 8]), np.array([0, 1, 2, 3]), np.array([10, 20, 30, 40])
+    some = Chain(flat, 0.0, None, 0.0, 1.0, 10.0, 8, bad=bad).of_rows(slice(4, 8))
+    assert [one.tolist() for one in some.bad] == [[0, 2], [1, 2], [20, 30]]
+    assert np.ndim(flat) == 0 or some.flat.shape == (4, 5)

@@ -11,7 +11,10 @@ import pytest
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.positions.refraction import standard_air
 from pipeline.plan.pointing.air import frame_sines, weather_of, weather_remarks
+from pipeline.plan.pointing.decisions import _lift_arcsec
+from pipeline.spec.load import parse_scene
 from pipeline.spec.pointing.observer import GroundObserver
+from tests.spec.test_limits import BASE
 
 
 @pytest.mark.parametrize(
@@ -65,3 +68,14 @@ def test_elevations_around_an_oblong_frame(shape: tuple[int, int], upright: bool
         for along in (-1.0, 0.0, 1.0) for across in (0.0, wide**2, wide**2)
     ]  # fmt: skip
     np.testing.assert_allclose(np.sort(found), np.sort(expected), atol=1e-12)
+
+
+def test_a_boresight_is_lifted_by_the_cotangent_of_its_elevation() -> None:
+    """About 58 arcsec at 45 degrees at sea level, 10 at 80, none at the zenith."""
+    site = {"kind": "ground", "latitude_deg": 20.0, "longitude_deg": 0.0,
+            "atmosphere": {"refraction": {"humidity": 0.0}}}  # fmt: skip
+    for elevation_deg, wanted in ((45.0, 58.0), (80.0, 10.2), (90.0, 0.0)):
+        local = {"mode": "local", "azimuth_deg": 10.0, "elevation_deg": elevation_deg}
+        scene = parse_scene(BASE | {"observer": site, "pointing": local})
+        lift = _lift_arcsec(scene, scene.pointing)
+        assert lift == pytest.approx(wanted, rel=0.06, abs=1e-3)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from pipeline.inputs.targets.meshes import gather_meshes
 from pipeline.plan.bodies import changes
 from pipeline.plan.bodies.changes import apart_s, has_means, looks_asked, most_looks
 from pipeline.plan.bodies.changes import mean_light as mean_light_around
+from pipeline.plan.pointing import timescales
 from pipeline.plan.pointing.geometry import _geometry, plan_geometry
 from pipeline.plan.pointing.timescales import hurried_remarks, light_off, looks
 from pipeline.plan.sensor.rolling import _of_every_dwell
@@ -353,3 +355,12 @@ def test_a_rolling_shutter_is_judged_by_both_ends_of_every_dwell() -> None:
     made = scene(sensor=SCENE["sensor"] | shutter, dwells=dwells, targets=[])
     g = plan_geometry(made, np.array([0]), 0.0)
     assert _of_every_dwell(made, g, 0.0).frame.tolist() == [0, 6, 7, 8]
+
+
+def test_exposures_are_looked_at_no_less_often_than_is_asked(monkeypatch: Any) -> None:
+    """8, 16, 32 ... intervals, the next that is enough; 1024 at most."""
+    asked, nothing = np.array([0.0, 8.0, 8.1, 10.0, 16.0, 17.0, 700.0, 1e9]), Mock()
+    monkeypatch.setattr(timescales, "asked_of_pointing", lambda *_: asked)
+    monkeypatch.setattr(timescales, "asked_of_bodies", lambda *_: np.zeros((0, asked.size)))
+    found = looks(nothing, nothing, np.zeros((0, asked.size), bool))
+    assert found.tolist() == [9, 9, 17, 17, 17, 33, 1025, 1025]

@@ -435,3 +435,13 @@ def test_what_the_mean_of_four_corners_would_err_is_told(odd):
     told = _grid_told(grid, 0.0, 0.1, 2.0, 1.0, corners)
     assert "would err by 2.25 e- there" in told.reason
     assert told.error_bound_sigma == pytest.approx(0.05)
+
+
+def test_the_background_of_the_facts_is_that_of_the_shortest_exposure(scene):
+    """The least noise that a pixel has in any frame."""
+    dwells = {"dwells": [{"integration_s": [8.0, 0.5], "frames": 2}], "exposure.integration_s": 2.0}
+    glow = {"stars": None, "background": {"uniform_e_per_s": 3.0}}
+    s, facts, sky, _ = planned(scene, glow | dwells)
+    found = facts_with_sky(facts, s, sky)
+    assert found.background_e == pytest.approx(0.5 * sky.least_e_s)
+    assert found.background_e_s == sky.least_e_s > 0.0
