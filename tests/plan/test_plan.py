@@ -151,14 +151,21 @@ def test_each_frame_costs_its_drawing(scene: Make) -> None:
     assert told[1] == told[2] == pytest.approx(told[0] - drawn_s, rel=0.2)  # a group begun is drawn
 
 
+@pytest.mark.parametrize("table_mb", [None, 193.0])
 def test_cores_that_are_not_kept_are_made_for_every_frame(
-    scene: Make, monkeypatch: pytest.MonkeyPatch
+    scene: Make, monkeypatch: pytest.MonkeyPatch, table_mb: float | None
 ) -> None:
-    """Those of every class for the stars, a group of frames together, and its truth's once more."""
+    """Those of every class for the stars, a group of frames together, and its truth's once more:
+    where none has room, or tables of light take it all."""
     moffat = {"sensor.psf": {"kind": "moffat", "fwhm_px": 2.5}, "accuracy": {"check_cells": 0}}
     few, many = (plan_of(scene(moffat | {"exposure.frames": n})) for n in (5, 15))
     once = predict(few, None)["cpu_s"], predict(many, None)["cpu_s"]
-    monkeypatch.setattr(needs, "TABLE_BYTES", 0.0)
+    if table_mb is None:
+        monkeypatch.setattr(needs, "TABLE_BYTES", 0.0)
+    else:
+        few, many = (
+            replace(p, responses=replace(p.responses, table_mb=table_mb)) for p in (few, many)
+        )
     radii = [c.radius_px for c in few.responses.classes]
     sizes = [compact_core(few.facts.blur, radius).samples.size for radius in radii]
     for together in (1, 5):
