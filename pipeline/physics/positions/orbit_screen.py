@@ -188,7 +188,11 @@ def states_together(
     late = since_s - (since_s[0] - dates * DAY_S)
     if late.any():
         place += late[:, None, None] * speed
-    errors[have_decayed(satellites, (since_s[:, None] + middles) / 60.0)] = DECAYED
+    ends = since_s[:, None] + (middles.min(), middles.max())
+    down = np.flatnonzero(have_decayed(satellites, ends / 60.0).any(axis=1))
+    if len(down):  # few: nobody rises again between the ends
+        minutes = (since_s[down, None] + middles) / 60.0
+        errors[down] = np.where(have_decayed(satellites, minutes, down), DECAYED, errors[down])
     codes = _codes(errors, place, speed)
     place *= 1e3
     speed *= 1e3
