@@ -121,6 +121,11 @@ MOTION = '\n[pmra]\nfrom = "m"\nunit = "mas/yr"\n'
         ("[source_id]", "[table]\nattach = 3\n[source_id]", "alias = file name"),
         ("[source_id]", '[epoch]\nfrom = "t"\nunit = "s"\n[source_id]', "jyear, mjd, jd"),
         ("[ra]", "[ra", "a TOML file"),
+        ("[source_id]", '[epoch]\nfrom = "t"\nunits = "mjd"\n[source_id]', "epoch.units"),
+        ("[source_id]", "[table]\nrow = 5\n[source_id]", "table.row"),
+        ("[source_id]", "[source_id]\nfirst = 5", "source_id.first"),
+        ("[ra]", "[ra]\nscales = 5", "ra.scales"),
+        ('name = "survey"', 'name = "survey"\nepoch_jyear = 2000.0', "epoch_jyear"),
     ],
 )
 def test_every_mistake_in_a_map_is_named(tmp_path, old, new, message):
