@@ -166,6 +166,22 @@ def test_rejected_rows_have_the_numbers_of_their_own_files(tmp_path):
 
 
 
+def test_repeated_ids_are_told_of_the_rows_that_have_them(tmp_path):
+    """In several small files, at other places, below rows that are rejected for themselves."""
+    ids = {"a": [1, 2, 3, 4, 5], "b": [6, 2, 7, 5, 8], "c": [9, 10, 1, 11, 3]}
+    for name, numbers in ids.items():
+        rows = [f"{n},{10.0 + i},{ord(name) - 90},12" for i, n in enumerate(numbers)]
+        head = [HEAD, "99,10,NaN,12", "98,400,10,12"]
+        (tmp_path / f"{name}.csv").write_text("\n".join([*head, *rows]) + "\n")
+    ingest([tmp_path / f"{name}.csv" for name in ids], tmp_path / "out", workers=1)
+    rejected = pq.read_table(tmp_path / "out" / REJECTS_NAME).to_pylist()
+    first = min(r["row"] for r in rejected)
+    repeated = [r for r in rejected if r["reason"].startswith("source_id occurs")]
+    assert sorted(r["source_id"] for r in repeated) == [1, 2, 3, 5]
+    for r in repeated:
+        assert ids[r["source"][0]][r["row"] - first - 2] == r["source_id"]
+
+
 def test_same_duplicates_stay_for_any_order_of_files(tmp_path):
     stars = random_stars(500, 2)
     write_csv(tmp_path / "a.csv", stars)
