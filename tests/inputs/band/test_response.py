@@ -12,15 +12,19 @@ SITE = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3}
 AIR = SITE | {"atmosphere": {"extinction": True}}
 
 
-def said(name, observer, **sensor):
-    scene = parse_scene({
+def scene_of(name, observer, more, **sensor):
+    return parse_scene({
         "schema": "nightglass/scene/1", "name": "t", "epoch": "2019-04-20T11:00:00Z",
         "observer": observer, "exposure": {"integration_s": 1.0},
         "pointing": {"mode": "sidereal", "boresight_ra_deg": 100.0, "boresight_dec_deg": 40.0},
         "sensor": {"shape": [8, 8], "pixel_pitch_um": 9, "focal_length_m": 0.5, "aperture_m": 0.2,
                    "bandpass": {"kind": "named", "name": name},
                    "psf": {"kind": "gaussian", "sigma_px": 1.0}} | sensor,
-    })  # fmt: skip
+    } | more)  # fmt: skip
+
+
+def said(name, observer, **sensor):
+    scene = scene_of(name, observer, {}, **sensor)
     return gather_band_light(scene, *gather_response(scene)).remarks
 
 
@@ -39,3 +43,16 @@ def test_what_a_published_band_holds_already(name, observer, sensor, words):
     told = said(name, observer, **sensor)
     assert len(told) == len(words)
     assert all(word in sentence for word, sentence in zip(words, told, strict=True))
+
+
+def test_sunlight_is_there_for_targets_and_for_populations_alone():
+    ball = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2}
+    orbit = {"kind": "state", "position_m": [7e6, 0, 0], "velocity_m_s": [0, 7500, 0]}
+    several = {"populations": [{"name": "p", "path": "a.tle", "body": ball}]}
+    none, few, many = (
+        gather_band_light(scene, *gather_response(scene)).sun_rate_e_s_m2
+        for more in ({}, {"targets": [{"name": "t", "orbit": orbit, "body": ball}]}, several)
+        for scene in [scene_of("bessell-V", SPACE, more)]
+    )
+    assert none == 0.0
+    assert few == many > 0.0
