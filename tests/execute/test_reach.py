@@ -8,7 +8,7 @@ import pytest
 
 from catalog_tools.ingest.ingest import ingest
 from pipeline.execute.check import _sweep
-from pipeline.execute.light import _reaches
+from pipeline.execute.light import LONGEST_PIECE_PX, _box, _reaches
 from pipeline.physics.motion.streak import Path
 from pipeline.plan.tiles import Tile
 from pipeline.route.run import Options, render
@@ -145,3 +145,11 @@ def test_a_tile_that_only_the_far_end_of_a_streak_lights(upright, far_px):
 )
 def test_a_path_sweeps_as_far_as_it_goes_whichever_way(x, y, wanted):
     assert _sweep(Path(np.array(x), np.array(y), np.array([1.0]))) == wanted
+
+
+def test_the_box_of_a_tile_has_its_columns_across_and_its_rows_up():
+    """From the place of a star, on each side by the core and the longest piece."""
+    tile, margin = Tile(0, 0, 100, 7, 30, 200), 5.0 + LONGEST_PIECE_PX
+    low_x, high_x, low_y, high_y = _box(tile, 5.0, 10.0, 20.0)
+    assert (low_x, high_x) == (7 - 10.0 - margin, 7 + 200 - 10.0 + margin)
+    assert (low_y, high_y) == (100 - 20.0 - margin, 100 + 30 - 20.0 + margin)
