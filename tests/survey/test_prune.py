@@ -65,6 +65,20 @@ def test_limits_of_orbits(one: Elements, days: float) -> None:
     assert latitude <= latitude_bound_rad(tilt, motion, within)[0]
 
 
+def test_apogees_before_the_epoch_of_orbits_that_decay() -> None:
+    """What SGP4's drag adds backwards grows at first, then falls: its ends alone bound nothing."""
+    rng = np.random.default_rng(7)
+    for _ in range(600):
+        turns, bstar = tuple(rng.uniform(0.0, 1.0, 3)), 10.0 ** rng.uniform(-2.5, -1.2)
+        tilt_deg, days = rng.uniform(0.0, 120.0), rng.uniform(1.0, 20.0)
+        one = _orbit(rng.uniform(170.0, 280.0), rng.uniform(0.02, 0.25), tilt_deg, turns, bstar)
+        satellites, (bstar_, ecc, _, tilt, _, motion, _) = one.satellites(), one.mean.T
+        since = since_epochs_s(satellites, EPOCH) - 86_400.0 * days
+        place, _, codes = states_together(satellites, since, AT)
+        _, high = radius_bounds_m(motion, ecc, tilt, bstar_, np.array([days]))
+        assert np.linalg.norm(place[codes == WHOLE], axis=-1).max(initial=0.0) <= high[0]
+
+
 @settings(max_examples=100, deadline=None)
 @given(orbits, st.floats(-90.0, 90.0), st.floats(0.0, 80.0))
 def test_what_never_rises_does_not(one: Elements, latitude_deg: float, lowest_deg: float) -> None:

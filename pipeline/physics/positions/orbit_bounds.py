@@ -23,6 +23,7 @@ _PERIODIC_M = (
     60e3  # of the radius: twice J2's short and J3's long terms (40 km at most, low orbits)
 )
 _LATITUDE_ROOM_RAD = 0.01  # J2's short terms of the inclination, the pole's precession
+_SLIGHT = 1.01  # growth of an axis by drag backwards, beyond which an apogee is twice the axis
 _GEO_M = 42.2e6  # from which on Sun and Moon turn the orbit much more
 _DEEP_REV_DAY = 6.4  # below, Sun and Moon turn the orbit: what its elements bound is little
 
@@ -46,17 +47,20 @@ def radius_bounds_m(
     whose eccentricity Sun and Moon change (Hujsak 1979, SpaceTrack Report 1), the perigee may be
     the ground and the apogee twice the semi-major axis.
     """
-    a, e = semi_major_axis_m(mean_motion_rad_min), np.asarray(eccentricity, float)
+    e = np.asarray(eccentricity, float)
+    axis = brouwer_axis(mean_motion_rad_min, e, inclination_rad)
+    a = axis * RADIUS72_KM * 1e3
     deep = mean_motion_rad_min * 1440.0 / (2.0 * np.pi) < _DEEP_REV_DAY
     swing = np.where(deep, 0.002 + 0.0005 * np.abs(days), 0.002)  # of the eccentricity
     swing *= np.maximum(1.0, a / _GEO_M) ** 2
     room = _PERIODIC_M + 0.002 * a
-    axis = brouwer_axis(mean_motion_rad_min, e, inclination_rad)
     terms = drag_terms(bstar, e, inclination_rad, axis)
     f = shrinking(terms, np.stack([days, -days], axis=1) * 1440.0)
-    least, most = np.maximum(f.min(axis=1), 0.0) ** 2, np.maximum(f.max(axis=1), 1.0) ** 2
+    least, t = np.maximum(f.min(axis=1), 0.0) ** 2, 1440.0 * np.abs(days)
+    most = (1.0 + t * (np.abs(terms[0]) + np.abs(terms[2]) * t**2)) ** 2  # what f grows by, alone
     low = a * least * (1.0 - np.minimum(1.0, e + swing)) - room
-    high = a * (1.0 + np.minimum(1.0, e + swing) + 2.0 * (most - 1.0)) + room
+    slight = 1.0 + np.minimum(1.0, e + swing) + 4.0 * (most - 1.0)  # twice that of one perigee
+    high = a * np.where(most < _SLIGHT, slight, 2.0 * most) + room
     return np.maximum(low, EARTH_EQUATORIAL_RADIUS_M - 30e3), high
 
 
