@@ -90,20 +90,21 @@ def place_stars(
         seen = rolled_stars(plan.camera, g, x[near], y[near], request.aberration)
         x[near], y[near], longer[near] = seen
         near &= distance_px(x, y, *frame) < reach
-    ra, dec = to_angles(astrometric[near])
-    kept = select(stars, near)
-    visible = seen_fraction(plan.scene, plan.camera, g, proper[near], y[near], reach)
-    guard_some(plan, g, x[near], y[near], observed[near], kept.source_id)
+    which = np.flatnonzero(near)  # once: some 4 times as fast as the mask for each column
+    x, y, observed, kept = x[which], y[which], observed[which], select(stars, which)
+    ra, dec = to_angles(astrometric[which])
+    visible = seen_fraction(plan.scene, plan.camera, g, proper[which], y, reach)
+    guard_some(plan, g, x, y, observed, kept.source_id)
     light = kept.rate_e_s * plan.integration_s(int(g.frame[0]))
-    light = light * pupil_fraction(plan.scene, plan.camera, x[near], y[near])
+    light = light * pupil_fraction(plan.scene, plan.camera, x, y)
     if plan.camera.line_s:
-        light = light * longer[near]
+        light = light * longer[which]
     if plan.extinction is not None:
-        light = light * star_transmission(plan.extinction, g, observed[near])
+        light = light * star_transmission(plan.extinction, g, observed)
     return FrameStars(
         kept.source_id,
-        x[near],
-        y[near],
+        x,
+        y,
         light * visible,
         ra,
         dec,

@@ -145,8 +145,9 @@ def _mean(
     error_e : what the wings may err by, also below zero
     """
     layers = layers_e(light, chain, (tile.rows, tile.columns))
-    mean = np.zeros((tile.rows, tile.columns))
-    for layer in layers.values():
+    first, *others = layers.values() or [np.zeros((tile.rows, tile.columns))]
+    mean = first + 0.0
+    for layer in others:
         mean += layer
     return layers, guard_mean(plan, g, tile, mean, layers, error_e)
 

@@ -40,8 +40,8 @@ def part_content(table: pa.Table) -> bytes:
     out = pa.BufferOutputStream()
     with pa.ipc.new_stream(out, table.schema) as stream:
         stream.write_table(table)
-    content = bytes(out.getvalue())
-    return content + _checksum(content)
+    content = out.getvalue()
+    return b"".join((content, _checksum(content)))
 
 
 def write_whole(product: Path, kind: str, table: pa.Table) -> int:
@@ -62,7 +62,7 @@ def is_whole(content: bytes) -> bool:
     return len(content) > CHECKSUM and content[-CHECKSUM:] == _checksum(content[:-CHECKSUM])
 
 
-def _checksum(content: bytes) -> bytes:
+def _checksum(content: bytes | pa.Buffer) -> bytes:
     return google_crc32c.value(content).to_bytes(CHECKSUM, "little")
 
 

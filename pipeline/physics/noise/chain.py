@@ -50,15 +50,14 @@ def to_dn(
 
     Raises ValueError on a mean that is not finite or is negative: no such frame is ever drawn.
     """
-    low, high = mean_e.min(initial=0.0), mean_e.max(initial=0.0)
-    if not (low >= 0.0 and high < np.inf):
-        raise ValueError("mean electrons must be finite and not negative")
     rows, columns = mean_e.shape
     step = rows if chain.blooming else max(1, BAND_PX // max(1, columns))
     out = np.empty(mean_e.shape, dn_type(chain.adc_bits))
     column_e = _column_noise_e(chain, place, columns)
     for start in range(0, rows, step):
         part = slice(start, min(start + step, rows))
+        if not (mean_e[part].min(initial=0.0) >= 0.0 and mean_e[part].max(initial=0.0) < np.inf):
+            raise ValueError("mean electrons must be finite and not negative")
         drawn = None if drawn_e is None else drawn_e[part]
         of = Readout(chain.of_rows(part), replace(place, y0=place.y0 + start), drawn, column_e)
         out[part] = _read_out(mean_e[part], of)

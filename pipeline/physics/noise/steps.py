@@ -34,7 +34,8 @@ class Step(NamedTuple):
 
 
 def _flat(light_e: Array, of: Readout) -> Array:
-    return light_e * of.chain.flat
+    flat = of.chain.flat
+    return light_e if np.ndim(flat) == 0 and flat == 1.0 else light_e * flat
 
 
 def _without_flat(signal_e: Array, chain: Chain) -> Array:
