@@ -136,7 +136,7 @@ def test_the_oldest_elements_of_many_are_told(order: int) -> None:
             {"kind": "tle", "line1": checksum(TLE["line1"].replace("19100", day)), "line2": second},
             name=f"of-day-{day}",
         )
-        for day in ("19050", "19001", "19060")[::order]
+        for day in ("19080", "19050", "19001", "19060")[::order]  # the first is fresh
     ]
     held = {"mode": "sidereal", "boresight_ra_deg": 10.0, "boresight_dec_deg": 20.0}
     scene = parse_scene(SCENE | {"targets": each, "pointing": held})

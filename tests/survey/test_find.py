@@ -397,15 +397,16 @@ def test_old_elements_are_told(tmp_path: Path) -> None:
     assert f"the sensor: its own orbit: {worst}" in space["notes"]
 
 
-@pytest.mark.parametrize("kind", ["tle", "omm", "older"])
+@pytest.mark.parametrize("kind", ["tle", "omm", "older", "no number"])
 def test_a_sensor_does_not_find_itself(kind: str, tmp_path: Path) -> None:
     """Nor does it end the search of the others; by its number, whatever its elements, or by the
     elements."""
     from tests.observe.test_against_others import tle
 
-    both = [tle(k, 51.6, 10.0, 0.001, 20.0, 29.0 + k, 15.0) for k in (1, 2)]
+    first, second = (0, 0) if kind == "no number" else (1, 2)
+    both = [tle(n, 51.6, 10.0, 0.001, 20.0, 30.0 + k, 15.0) for k, n in enumerate((first, second))]
     (tmp_path / "two.tle").write_text("\n".join(line for lines in both for line in lines))
-    own = tle(1, 51.6, 10.0, 0.001, 20.0, 30.1 if kind == "older" else 30.0, 15.0)
+    own = tle(first, 51.6, 10.0, 0.001, 20.0, 30.1 if kind == "older" else 30.0, 15.0)
     orbit: dict[str, Any] = {"kind": "tle", "line1": own[0], "line2": own[1]}
     if kind == "omm":
         orbit = {"kind": "omm", "elements": {
@@ -416,7 +417,7 @@ def test_a_sensor_does_not_find_itself(kind: str, tmp_path: Path) -> None:
     found = shown("--at", as_utc(own[0]), "--hours", "1", "--step", "60", "--snr", "0.01",
                   "--set", f"populations.0.path={tmp_path}/two.tle",
                   "--set", f"observer={observer}")  # fmt: skip
-    assert [o["number"] for o in found["objects"]] == [2]
+    assert [o["number"] for o in found["objects"]] == [second]
     assert "1 of 2 element sets omitted: the sensor itself" in found["notes"]
 
 

@@ -372,6 +372,26 @@ def test_an_interrupted_ingest_goes_on(tmp_path, parts, monkeypatch, broken):
     assert left_behind(tmp_path) == []
 
 
+def test_what_a_killed_writer_left_is_no_part_of_the_catalogue(tmp_path, parts, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "write_manifest", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            ingest(parts[1], tmp_path / "c", rows_per_leaf=800, workers=1)
+    shard = next(p for p in (tmp_path / ".c.part").rglob("Npix=*") if p.is_file())
+    left = shard.with_name(f".{shard.name}.1.tmp"), shard.with_name("Npix=99999.parquet")
+    for path in left:
+        shutil.copy(shard, path)
+    whole = ingest(parts[1], tmp_path / "c", rows_per_leaf=800).catalogue
+    names = {path.name for path in (tmp_path / "c").rglob("*")}
+    assert shard.name in names
+    assert not names & {path.name for path in left}
+    assert same_rows(cone(whole, 0, 0, 180)[0], parts[0])
+
+
+def interrupted(*_, **__):
+    raise KeyboardInterrupt
+
+
 @pytest.mark.parametrize("damage", ["bit", "cut", "gone"])
 def test_a_shard_that_was_damaged_meanwhile_is_written_again(tmp_path, parts, monkeypatch, damage):
     """All leaves stood when the ingest was cut off; one has changed before it goes on."""

@@ -279,13 +279,15 @@ def test_files_that_do_not_fit_into_memory_are_refused_by_name(tmp_path):
 
     stars = random_stars(3000, 3)
     large_pages(tmp_path / "pages.parquet", stars)
+    pq.write_table(stars, tmp_path / "dictionaries.parquet", data_page_size=1024,
+                   dictionary_pagesize_limit=1 << 30)  # fmt: skip
     pq.write_table(stars, tmp_path / "plain.parquet", use_dictionary=False, data_page_size=1024)
     table = Table({name: stars[name].to_numpy() for name in INCOMING.names})
     for name in ("tabledata", "binary2"):
         path = tmp_path / f"{name}.vot"
         table.write(path, format="votable", tabledata_format=name, overwrite=True)
     for name, what in (("pages.parquet", "pages"), ("tabledata.vot", "VOTable"),
-                       ("binary2.vot", "VOTable")):  # fmt: skip
+                       ("binary2.vot", "VOTable"), ("dictionaries.parquet", "pages")):  # fmt: skip
         path = tmp_path / name
         assert sum(t.num_rows for t in read_tables(path, most_bytes=100 << 20)) == 3000
         with pytest.raises(BadInput, match=rf"{name}.*{what} of at most \d+ bytes.*--memory"):

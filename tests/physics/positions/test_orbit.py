@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -255,6 +256,31 @@ def test_two_body_keeps_energy_and_momentum(
     assert np.linalg.norm(np.cross(p[0], w[0]) - np.cross(r, v)) < 1e-9 * size * back + 1e-3
     home, _ = two_body(p[0], w[0], np.array([-dt]))
     assert np.linalg.norm(home[0] - r) < 1e-6 * max(r0, size)
+
+
+@pytest.mark.parametrize("ecc", [0.01, 0.4, 0.95])
+def test_eccentric_orbits_from_any_place_to_any_other(ecc: float) -> None:
+    """Against Kepler's equation, half a period either way: by more than half a turn of the
+    eccentric anomaly where that leads through perigee."""
+    axis_m = 2.6e7
+    rate = np.sqrt(EARTH_GM_M3_S2 / axis_m**3)
+    height = np.sqrt(1.0 - ecc**2)
+
+    def state(anomaly: Any) -> tuple[Any, Any]:
+        c, s = np.cos(anomaly), np.sin(anomaly)
+        speed = rate * axis_m / (1.0 - ecc * c)
+        zero = np.zeros_like(c)
+        place = axis_m * np.stack([c - ecc, height * s, zero], -1)
+        return place, speed[..., None] * np.stack([-s, height * c, zero], -1)
+
+    for begin in np.linspace(0.0, 2.0 * np.pi, 17):
+        r, v = state(np.array(begin))
+        to = begin + np.linspace(-6.0, 6.0, 49)
+        times = (to - ecc * np.sin(to) - begin + ecc * np.sin(begin)) / rate
+        p, w = two_body(r, v, times)
+        place, speed = state(to)
+        assert np.abs(p - place).max() < 1e-2
+        assert np.abs(w - speed).max() < 1e-5
 
 
 def test_limits_whole_periods_and_free_fall() -> None:

@@ -245,7 +245,7 @@ MATT = {"kind": "lambert", "albedo": 0.5}
 )
 def test_highlights_of_a_mesh_that_spins_are_looked_at(surface: dict, wide_rad: float) -> None:
     """Once at least while one brightens by e^(1/2), seen from the Sun; many: by means."""
-    law = {"kind": "spin", "axis": [1.0, 0.0, 0.0], "rate_deg_s": 360.0}
+    law = {"kind": "spin", "axis": [1.0, 0.0, 0.0], "rate_deg_s": -360.0}
     mesh = {"kind": "mesh", "path": "a.obj", "unit": "m", "surface": MATT, "attitude": law}
     body = MeshBody.model_validate(mesh | {"materials": {"foil": surface}})
     asked = looks_asked(body, (2458000.5, 0.0), np.zeros(1), np.ones(1), np.ones(1))
