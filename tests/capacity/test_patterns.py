@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 from astropy.time import Time
 
 from pipeline.capacity.course import StudyCourse, make_course
-from pipeline.capacity.patterns import Slots, in_fields, slots_of
+from pipeline.capacity.patterns import Slots, _times, in_fields, slots_of
 from pipeline.physics.vectors import from_angles, separation
 
 pytestmark = pytest.mark.usefixtures("coarse_signal")
@@ -82,6 +83,20 @@ def test_fields_follow_each_other(course: Any) -> None:
         np.testing.assert_allclose(np.diff([*at, after[0]]), wanted_s, rtol=1e-6)
     assert [n[0] for n in numbers] == [0, count // 3, 2 * count // 3]
     np.testing.assert_allclose(slots.frame_s, [-2.0, 0.0, 2.0])
+
+@pytest.mark.parametrize("first", [0, 3, 6])
+def test_no_dwell_is_lost_between_windows(first: int) -> None:
+    """Wherever in a round a window begins and ends."""
+    count, each_s, back_s = 7, 10.0, 4.5
+    edges = np.arange(0.0, 2000.0, 33.0)
+    windows = [_times(*ends, count, first, each_s, back_s) for ends in pairwise(edges)]
+    number, at = (np.concatenate(column) for column in zip(*windows, strict=True))
+    np.testing.assert_array_equal(np.diff(number), 1)
+    wanted_s = np.where(number[1:] % count == 0, each_s + back_s, each_s)
+    np.testing.assert_allclose(np.diff(at), wanted_s)
+    assert number[0] == first
+    assert at[0] == 0.5 * each_s
+    assert at[-1] >= edges[-1] - each_s - back_s
 
 
 def test_a_fence_stands_in_its_azimuth(course: Any) -> None:

@@ -150,6 +150,21 @@ def test_noise_of_centroids_has_the_bounds_sigma() -> None:
     assert [t.equals(table.slice(0, 3)) for t in fewer] == [True, False]
 
 
+def test_a_moving_place_is_measured_at_mid_exposure() -> None:
+    """Of a streak of 3 px, whose ends are many sigma from its middle."""
+    tracked = observe(parse_scene(night())).table.to_pylist()[0]
+    held = {f"boresight_{name}": tracked[name] for name in ("ra_deg", "dec_deg")}
+    scene = parse_scene(night(
+        targets=night()["targets"][:1], pointing={"mode": "sidereal"} | held,
+        exposure={"integration_s": 8.0, "frames": 1},
+    ))  # fmt: skip
+    (row,) = observe(scene, None, 0.1, None, 7).table.to_pylist()
+    off = np.array([row["ra_measured_deg"] - row["ra_deg"], row["dec_measured_deg"] - row["dec_deg"]])
+    assert np.abs(off).max() * 3600.0 < 5.0 * row["centroid_sigma_arcsec"]
+    assert row["streak_px"] > 2.0
+    assert row["centroid_sigma_arcsec"] < 5.0
+
+
 BAD = {
     "--times=0,10": "times: 0,10 is not accepted; allowed: START,STOP,STEP",
     "--times=0,10,0": "times: 0,10,0 is not accepted; allowed: a step above 0 s",

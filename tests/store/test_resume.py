@@ -319,16 +319,25 @@ def test_every_flipped_bit_of_a_marker_is_noticed(starry):
             assert read_marker(path, bytes(damaged)) == good
 
 
-def stopped_before_the_end(scene, product, monkeypatch):
-    """Render until all tiles and truth are stored and nothing is joined."""
+def stopped_before_the_end(scene, product, monkeypatch, end="run.finish"):
+    """Render until all tiles and truth are stored and nothing is joined, or until another end."""
 
     def stop(*_):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.route.run.finish", stop)
+        patch.setattr(f"pipeline.route.{end}", stop)
         with pytest.raises(KeyboardInterrupt):
             render(scene, product, HERE)
+
+
+def test_truth_stays_as_it_was_drawn_until_the_seal(starry, tmp_path, monkeypatch):
+    scene, _, _ = starry
+    stopped_before_the_end(scene, tmp_path / "run", monkeypatch, "finish.seal")
+    assert part_is_whole(tmp_path / "run", "stars", 0)
+    assert part_is_whole(tmp_path / "run", "stars", 1)
+    render(scene, tmp_path / "run", AGAIN)
+    assert check(tmp_path / "run").whole
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "bit"])

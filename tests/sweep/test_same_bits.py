@@ -117,6 +117,20 @@ def test_light_that_errs_by_more_than_was_stated_is_told(
     assert kept.drawn["check"] == (1 if detector is None else 2)
 
 
+def test_light_is_checked_frame_by_frame(sweep_file, tmp_path, monkeypatch):
+    """What is found in the first frame does not stand for a later one."""
+
+    def drawn(plan, g, *others):
+        light = tile_light(plan, g, *others)
+        return {name: image + 10.0 * g.frame[0] for name, image in light.items()}
+
+    monkeypatch.setattr("pipeline.sweep.stages.tile_light", drawn)
+    axis = {"field": "sensor.read_noise_e", "values": [5.0]}
+    path = sweep_file([axis], {"exposure.frames": 2}, metrics=["timing"])
+    (row,) = rows_of(path, tmp_path / "out")
+    assert row["achieved_error_sigma"] > 2.0 * row["error_bound_sigma"]
+
+
 @pytest.mark.parametrize(
     "more",
     [{"cosmic_rays": {"kind": "generated", "rate_per_cm2_s": 2000.0}},
