@@ -84,6 +84,7 @@ def test_fields_follow_each_other(course: Any) -> None:
     assert [n[0] for n in numbers] == [0, count // 3, 2 * count // 3]
     np.testing.assert_allclose(slots.frame_s, [-2.0, 0.0, 2.0])
 
+
 @pytest.mark.parametrize("first", [0, 3, 6])
 def test_no_dwell_is_lost_between_windows(first: int) -> None:
     """Wherever in a round a window begins and ends."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import socket
 import subprocess
 import sys
 import tarfile
@@ -34,6 +35,27 @@ def nightglass(*words: str, **variables: str) -> subprocess.CompletedProcess[str
         [sys.executable, "-c", code, *words], capture_output=True, text=True,
         env=os.environ | variables, timeout=120,
     )  # fmt: skip
+
+
+def test_an_answer_that_is_cut_off_is_asked_for_again() -> None:
+    """A connection that breaks in an answer, or before it; told where none comes whole."""
+    whole = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\nConnection: close\r\n\r\n[]"
+    answers = [whole[:-1], b"", whole]
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+
+        def serve() -> None:
+            for answer in [*answers, b"", b""]:
+                connection, _ = listening.accept()
+                with connection:
+                    connection.recv(65536)
+                    connection.sendall(answer)
+
+        threading.Thread(target=serve, daemon=True).start()
+        with Client(f"http://127.0.0.1:{listening.getsockname()[1]}", patience_s=20.0) as client:
+            assert client.ask("GET", "/v1/catalogues").json() == []
+            client.patience_s = 0.3
+            with pytest.raises(ServiceError, match="does not answer"):
+                client.ask("GET", "/v1/catalogues")
 
 
 def test_submit_wait_open_fetch(
