@@ -112,6 +112,11 @@ def test_wrong_scene_is_422_and_names_the_field(
     assert all(len(error["value"]) <= 80 for error in problem["errors"])
 
 
+def test_of_very_many_mistakes_fifty_are_told(client: httpx.Client, scene: dict[str, Any]) -> None:
+    scene["dwells"] = [{"frames": -1}] * 500
+    assert len(refused(client.post("/v1/jobs", json=scene), 422)["errors"]) == 50
+
+
 @pytest.mark.parametrize("body", ["[]", "null", '"text"', "1", "{}", "[" + "1," * 100_000 + "1]"])
 def test_other_json_is_422(client: httpx.Client, body: str) -> None:
     refused(client.post("/v1/jobs", content=body, headers=JSON), 422)
