@@ -70,6 +70,8 @@ def fetch_sweep(job: Fetched, folder: Path, parallel: int = 8) -> Path:
     """Bring what a sweep or a study made (tables, report, page) into `folder`, each file of its
     seal proved by its digest; the seal comes last. Raises as `fetch_product` does."""
     check_new(folder, empty=True)
+    if not folder.name:
+        raise BadInput("-o", str(folder), "a folder below this one: it takes its name when whole")
     stage = folder.with_name(folder.name + PART)  # of an earlier try: begun anew
     shutil.rmtree(stage, ignore_errors=True)
     stage.mkdir(parents=True)

@@ -22,6 +22,14 @@ DEADLINE = "nightglass.deadline"
 Answer = Callable[[Request, Exception], Awaitable[Response]]
 
 
+def _place_of(origin: bytes) -> str | None:
+    """Host and port of an origin; None of what is no address."""
+    try:
+        return urlsplit(origin.decode("latin-1")).netloc.lower()
+    except ValueError:
+        return None
+
+
 class Gate:
     """The outermost layer of the application."""
 
@@ -74,8 +82,7 @@ class Gate:
             return
         site = headers.get(b"sec-fetch-site", b"none")
         origin = headers.get(b"origin")
-        foreign = origin is not None and urlsplit(origin.decode("latin-1")).netloc.lower() != host
-        if site not in (b"none", b"same-origin") or foreign:
+        if site not in (b"none", b"same-origin") or (origin and _place_of(origin) != host):
             raise problems.Forbidden("another site's page may not change anything here")
 
     def _count(self, scope: Scope, status: int, seconds: float) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.spec.study_load import parse_study
 from service.problems import NotAllowed
+from service.scenes.axes import check_no_file
 from service.scenes.scenes import HasFile, check_named, named_in
 from service.settings import Settings
 
@@ -28,9 +29,7 @@ def accept_study(
     plain = study.as_dict()
     check_named(named_in(plain), settings, has_file)
     for i, axis in enumerate(study.axes):
-        if any(f.split(".")[-1] in ("path", "sizes", "orbit") for f in axis.fields):
-            allowed = "an axis over numbers: over REST none goes through files"
-            raise NotAllowed(f"axes.{i}: {allowed}", ((f"axes.{i}", axis.fields[0], allowed),))
+        check_no_file(f"axes.{i}", axis)
     made = study.catalogue.synthetic.objects if study.catalogue.synthetic else 1
     cpu_s = STATE_CPU_S * made * study.duration_h * 3600.0 / study.step_s * study.points
     if cpu_s > settings.job_cpu_s or study.points > settings.sweep_points:

@@ -10,9 +10,10 @@ from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.errors import BadInput
 from pipeline.plan.cost import least_noise_s
 from pipeline.plan.timing import frame_count
-from pipeline.spec.load import path_holders
+from pipeline.spec.sweep import Axis
 from pipeline.spec.sweep_load import parse_sweep
 from service.problems import NotAllowed
+from service.scenes.axes import check_no_file
 from service.scenes.scenes import HasFile, accept_scene, product_bytes_of
 from service.scenes.uploads import engine_scene
 from service.settings import Settings
@@ -46,7 +47,7 @@ def accept_sweep(
         allowed = "the base scene itself: over REST no file is read"
         raise NotAllowed(f"scene: {allowed}", (("scene", parsed.scene, allowed),))
     base = accept_scene(parsed.scene, settings, has_file)
-    for i, axis in enumerate(data["axes"]):
+    for i, axis in enumerate(parsed.axes):
         _check_axis(i, axis)
     rows, columns = base.sensor.shape
     each = rows * columns * frame_count(base)
@@ -61,19 +62,15 @@ def accept_sweep(
     if asked > settings.product_bytes:
         allowed = f"points of at most {settings.product_bytes} bytes in all (asked: {asked})"
         raise NotAllowed(f"cubes: {allowed}", (("cubes", parsed.cubes, allowed),))
-    return data | {"scene": base.as_dict()}, parsed.points * each
+    return parsed.as_dict() | {"scene": base.as_dict()}, parsed.points * each
 
 
-def _check_axis(number: int, axis: JsonObject) -> None:
-    fields = axis.get("fields") or [axis["field"]]
-    for field, fixed in product(fields, FIXED):
+def _check_axis(number: int, axis: Axis) -> None:
+    for field, fixed in product(axis.fields, FIXED):
         if _changes(field, fixed):
             allowed = f"an axis that leaves {fixed} as it is"
             raise NotAllowed(f"axes[{number}]: {allowed}", ((f"axes[{number}]", field, allowed),))
-    rows = axis.get("rows") or [[value] for value in axis.get("values", ())]
-    for row in rows:
-        for field, value in zip(fields, row, strict=False):
-            _check_value(number, field, value)
+    check_no_file(f"axes[{number}]", axis)
 
 
 def _changes(field: str, fixed: str) -> bool:
@@ -81,17 +78,6 @@ def _changes(field: str, fixed: str) -> bool:
     if fixed == "targets" and field.count(".") >= 2:
         return False
     return f"{fixed}.".startswith(f"{field}.") or field.startswith(f"{fixed}.")
-
-
-def _check_value(number: int, field: str, value: object) -> None:
-    """No value of an axis stands where a file could be named."""
-    placed: object = value
-    for part in reversed(field.split(".")):
-        placed = {part: placed}
-    for name, holder, key in path_holders(placed):
-        if isinstance(holder.get(key), str | list):
-            allowed = f"numbers for {name}: over REST no axis goes through files"
-            raise NotAllowed(f"axes[{number}]: {allowed}", ((f"axes[{number}]", value, allowed),))
 
 
 def run_sweep(order: JsonObject, options: Options, listen: Listener) -> JsonObject:

@@ -102,7 +102,8 @@ def test_what_a_study_may_not_hold(server: Any) -> None:
     long = _study(duration_h=80_000, catalogue={"synthetic": {"objects": 1_000_000}})
     assert "CPU s" in post("/v1/studies", json=long).text
     axes = [{"field": "catalogue.populations.0.path", "values": ["a", "b"]}]
-    assert "over REST none goes through files" in post("/v1/studies", json=_study(axes=axes)).text
+    answer = post("/v1/studies", json=_study(axes=axes))
+    assert "over REST no axis goes through files" in answer.text
     assert post("/v1/studies", json={"schema": "nightglass/study/1"}).status_code == 422
 
 
@@ -121,10 +122,24 @@ def test_limits_of_a_study(tmp_path: Path) -> None:
     assert seeds(7, duration_h=12.0)["seeds"] == 7
     with pytest.raises(NotAllowed, match="7 points"):
         seeds(8, duration_h=1.0)
-    hidden = ("populations.0.sizes", "populations.0.path")
-    for field in ("sensors.0.observer.orbit", *(f"catalogue.{name}" for name in hidden)):
-        with pytest.raises(NotAllowed, match="none goes through files"):
-            accept_study(_study(axes=[{"field": field, "values": ["a", "b"]}]), settings)
-        together = {"kind": "table", "fields": ["step_s", field], "rows": [[60.0, "a"]]}
-        with pytest.raises(NotAllowed, match=r"axes\.0: .* none goes through files"):
+    file = "/etc/passwd"
+    hidden: dict[str, object] = {
+        "catalogue.populations.0.sizes": file,
+        " catalogue.populations.0.path": file,
+        "catalogue.populations": [{"path": file}],
+        "sensors.0.observer.orbit": {"kind": "omm", "path": file},
+        "sensors.0.observer": {"kind": "orbit", "orbit": {"kind": "omm", "path": file}},
+        "cameras.0.sensor.quantum_efficiency": file,
+        "cameras.0.sensor.flat": file,
+        "cameras.0.sensor.psf": {"kind": "table", "path": file},
+        "cameras.0.sensor": {"transmission": file},
+        "cameras.0.background.stray_light": {"earth_albedo": file},
+    }
+    for field, value in hidden.items():
+        with pytest.raises(NotAllowed, match="no axis goes through files"):
+            accept_study(_study(axes=[{"field": field, "values": [0.5, value]}]), settings)
+        together = {"kind": "table", "fields": ["step_s", field], "rows": [[60.0, value]]}
+        with pytest.raises(NotAllowed, match=r"axes\.0: .* no axis goes through files"):
             accept_study(_study(axes=[together]), settings)
+    free = {"field": "cameras.0.sensor.quantum_efficiency", "values": [0.5, 0.9]}
+    assert accept_study(_study(axes=[free]), settings)["axes"]

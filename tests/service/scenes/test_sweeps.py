@@ -46,8 +46,12 @@ def test_a_dry_run_answers_size_and_plan_and_makes_no_job(
     assert count() == before
 
 
-def test_by_the_client(server: Any, sweep: dict[str, Any], tmp_path: Path) -> None:
+def test_by_the_client(
+    server: Any, sweep: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A file whose base scene is another one beside it; the table of its points; no frames."""
+    empty = tmp_path / "empty"
+    empty.mkdir()
     (tmp_path / "base.json").write_text(json.dumps(sweep["scene"]))
     (tmp_path / "sweep.json").write_text(json.dumps(sweep | {"scene": "base.json"}))
     with Client(server.url) as client:
@@ -64,6 +68,9 @@ def test_by_the_client(server: Any, sweep: dict[str, Any], tmp_path: Path) -> No
         assert is_complete(tmp_path / "out")
         with pytest.raises(BadInput, match="does not exist yet"):
             job.fetch_sweep(tmp_path / "out")
+        monkeypatch.chdir(empty)
+        with pytest.raises(BadInput, match=r"-o: .* a folder below this one"):
+            job.fetch_sweep(Path())
         job.delete()
         (tmp_path / "base.json").unlink()
         with pytest.raises(BadInput, match=r"base\.json"):
@@ -137,6 +144,8 @@ BAD: dict[str, list[dict[str, Any]]] = {
     "a whole target": [{"field": "targets.0", "values": [{}]}],
     "points": [{"kind": "range", "field": f"x{i}", "start": 0, "stop": 1, "count": 9999}
                for i in range(3)],
+    "a blank before": [{"field": " sensor.quantum_efficiency", "values": [0.5, "/etc/passwd"]}],
+    "a blank after": [{"field": "sensor.shape ", "values": [[9999, 9999]]}],
 }  # fmt: skip
 
 
