@@ -27,7 +27,7 @@ from pipeline.survey.watch import MOST_LIFT_RAD, Watcher, WatchMoments
 
 SCHEMA = pa.schema(
     [("time_s", pa.float64()), ("step", pa.int32()), ("sensor", pa.int16()), ("unit", pa.int16())]
-    + [("object", pa.int32()), ("frames", pa.int16())]
+    + [("object", pa.int32()), ("frames", pa.int32())]
     + [(n, pa.float32()) for n in ("x", "y", "z", "elevation_deg", "range_km", "rate_arcsec_s")]
     + [(n, pa.float32()) for n in ("phase_deg", "v_mag", "streak_px", "sky_e_s_px", "snr")]
     + [("probability", pa.float32())]

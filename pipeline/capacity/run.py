@@ -41,7 +41,7 @@ from pipeline.spec.study_load import parse_study
 from pipeline.store.layout import full_disk, only_writer
 from pipeline.sweep import ledger
 from pipeline.sweep.design import Design
-from pipeline.sweep.points import check_axes, set_field
+from pipeline.sweep.points import check_axes, later_seed, set_field
 from pipeline.sweep.run import SweepProgress
 
 STATE, STUDY, SEEN = "state.npz", "study.json", "observations"
@@ -120,7 +120,7 @@ def run_study(
         opened = cache(  # by the first task that is not done yet
             lambda: stack.enter_context(open_scheduler(options.scheduler, options.workers))
         )
-        course = make_course(_placed(data, folder), out) if study.points == 1 else None
+        course = make_course(_placed(data, folder), out) if not study.is_varied else None
         if course is None:
             told = forecast_of(data, folder)
         else:
@@ -170,8 +170,10 @@ def _write_points(study: Study, out: Path, rows: list[JsonObject], told: list[st
     """Write the table of a study's points and its report, which is returned."""
     columns = dict.fromkeys(name for row in rows for name in row)
     rows = [dict.fromkeys(columns) | row for row in rows]
+    kinds = ledger.kinds_of(Design(study))
+    fit = [row | {n: ledger.fit(row[n], kind) for n, kind in kinds.items()} for row in rows]
     with whole_file(out / POINTS) as table:
-        pq.write_table(pa.Table.from_pylist(rows), table)
+        pq.write_table(pa.Table.from_pylist(fit), table)
     failed = [row for row in rows if row["status"] == "failed"]
     told += [f"point {row['point']} failed: {row['message']}" for row in failed]
     whole = {"study": study.name, "points": rows, "failed": len(failed), "notes": told}
@@ -209,13 +211,11 @@ def _check_room(told: JsonObject, options: StudyOptions) -> None:
 def _at_point(data: JsonObject, study: Study, point: int) -> tuple[JsonObject, JsonObject]:
     """The study of one point of the axes, without axes, and the values it has."""
     own = _without_axes(data)
-    if study.points == 1:
-        return own, {}
     design = Design(study)
     values = design.values(point)
     for name, value in values.items():
         set_field(own, name, value)
-    own["seed"] = study.seed + design.seed_step(point)
+    own["seed"] = later_seed(own.get("seed", 0), design.seed_step(point))
     return own, values | ({"seed": own["seed"]} if study.seeds > 1 else {})
 
 

@@ -107,10 +107,14 @@ def _kept(
     if len(kept) > MOST_ROWS:
         allowed = f"at most {MOST_ROWS} rows around the exposures"
         raise BadInput(field, f"{len(kept)} rows of {path.name}", allowed)
+    mounting = p.mounting
+    if mounting is not None and (p.scalar, scalar) == ("first", "last"):  # by the file's names
+        mounting = (*mounting[1:], mounting[0])
     return {
         "path": None,
         "rows": kept.tolist(),
         "scalar": scalar,
+        "mounting": mounting,
         "epoch": None,
         "source": path.name[:200],
     }

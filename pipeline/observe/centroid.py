@@ -46,7 +46,8 @@ def centroid_covariance_px2(plan: ResolvedScene, target: FrameTarget, frame: int
     noise is that of `matched_snr`; F light, p the response of a pixel, p_a its slope with x or y
     (Winick 1986, JOSA A 3, 1809, doi:10.1364/JOSAA.3.001809). A Gaussian response of s px gives
     2^(1/2) s / SNR against the sky alone, s / SNR where the source's own photons are the noise. It
-    is reached at high SNR; near the threshold centroids are worse.
+    is reached at high SNR; near the threshold centroids are worse. An image within one pixel tells
+    nothing by its slopes: no place is less known than by the width of the image with its pixel.
     """
     y, x = target.y_px, target.x_px
     blur = plan.responses.near(y, y, x, x)[0]
@@ -59,7 +60,14 @@ def centroid_covariance_px2(plan: ResolvedScene, target: FrameTarget, frame: int
     own = light * p if plan.scene.sensor.photon_noise else 0.0
     floor_e2 = plan.snr_floor_e2(frame, np.array([x]), np.array([y]))
     information = light**2 * (slopes / (floor_e2 + own)) @ slopes.T
-    return np.asarray(np.linalg.inv(information))
+    known, axes = np.linalg.eigh(information)
+    row = (places + (1 << 31)) >> 32
+    at = np.stack([places - (row << 32), row], axis=-1) @ axes
+    off = at - np.average(at, axis=0, weights=p)
+    widest_px2 = np.average(off**2, axis=0, weights=p) + 1.0 / 12.0
+    if (known * widest_px2 >= 1.0).all():
+        return np.asarray(np.linalg.inv(information))
+    return np.asarray((axes / np.maximum(known, 1.0 / widest_px2)) @ axes.T)
 
 
 def _spread(places: NDArray[np.int64], place: NDArray[np.int64], value: Array) -> Array:

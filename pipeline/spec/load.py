@@ -260,16 +260,22 @@ def resolve_paths(scene: Scene, base: Path) -> Scene:
 
 def place_paths(data: JsonObject, base: Path) -> None:
     """Make the relative paths in plain data absolute, in place, from the folder `base`."""
-    for _, holder, key in path_holders(data):
+    for field, holder, key in path_holders(data):
         value = holder.get(key)
         if isinstance(value, list):
-            holder[key] = [_absolute(path, base) for path in value]
+            holder[key] = [_absolute(path, base, field) for path in value]
         elif isinstance(value, str):
-            holder[key] = _absolute(value, base)
+            holder[key] = _absolute(value, base, field)
 
 
-def _absolute(path: str, base: Path) -> str:
-    return path if "://" in path else str((base / Path(path).expanduser()).resolve())
+def _absolute(path: object, base: Path, field: str) -> object:
+    """A path from the folder `base`; what is no text stays, to be refused where it is parsed."""
+    if not isinstance(path, str) or "://" in path:
+        return path
+    try:
+        return str((base / Path(path).expanduser()).resolve())
+    except (RuntimeError, ValueError, OSError) as error:  # of no such user, of a null byte, a loop
+        raise BadInput(field, path, f"a path; {error}") from None
 
 
 def apply_override(data: object, override: str) -> None:

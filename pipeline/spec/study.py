@@ -13,10 +13,19 @@ from pipeline.spec.scene import Exposure
 from pipeline.spec.sensor.sensor import Sensor
 from pipeline.spec.sky.background import Background
 from pipeline.spec.strict import Fraction, Positive, Strict
-from pipeline.spec.sweep import Axis, DesignWish, Grid, axes_with_kinds, points_of
+from pipeline.spec.sweep import (
+    Axis,
+    DesignWish,
+    Grid,
+    axes_with_kinds,
+    check_fields,
+    check_lengths,
+    points_of,
+)
 from pipeline.spec.targets.population import MOST_POPULATIONS, Population
 
 SCHEMA = "nightglass/study/1"
+FIXED = ("schema", "name", "axes", "design", "seeds")  # what every point has in common
 MOST_SENSORS, MOST_OBJECTS, MOST_RULES, MOST_STUDY_POINTS = 256, 1_000_000, 1000, 1000
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
@@ -240,6 +249,12 @@ class Study(Strict):
         return self
 
     @model_validator(mode="after")
+    def _axes_fit(self) -> Study:
+        check_fields(self.axes, FIXED)
+        check_lengths(self.axes, self.design)
+        return self
+
+    @model_validator(mode="after")
     def _few_points(self) -> Study:
         if self.points > MOST_STUDY_POINTS:
             raise PydanticCustomError(
@@ -258,6 +273,11 @@ class Study(Strict):
     def points(self) -> int:
         """How many points the axes make, seeds counted; 1 without any."""
         return points_of(self.axes, self.design, self.seeds)
+
+    @property
+    def is_varied(self) -> bool:
+        """Whether it has points, be it one: of axes, or of seeds."""
+        return bool(self.axes) or self.seeds > 1
 
     def camera_of(self, sensor: StudySensor) -> StudyCamera:
         """The camera of a sensor."""

@@ -151,41 +151,9 @@ class Sweep(Strict):
         return axes_with_kinds(value)
 
     @model_validator(mode="after")
-    def _fields_are_free_and_differ(self) -> Sweep:
-        seen: list[str] = []
-        for i, axis in enumerate(self.axes):
-            for name in axis.fields:
-                if name.split(".")[0] in FIXED:
-                    allowed = f"allowed: a field that points may differ in, not {name}"
-                elif name in seen:
-                    allowed = f"allowed: each field in one axis; twice: {name}"
-                elif any(name.startswith(f"{s}.") or s.startswith(f"{name}.") for s in seen):
-                    allowed = f"allowed: fields that hold none of the others; {name} does"
-                else:
-                    seen.append(name)
-                    continue
-                raise PydanticCustomError(
-                    "axis", "{allowed}", {"allowed": allowed, "field": f"axes.{i}"}
-                )
-        return self
-
-    @model_validator(mode="after")
-    def _axes_fit_the_design(self) -> Sweep:
-        for i, axis in enumerate(self.axes):
-            random = isinstance(self.design, QuasiRandom)
-            if isinstance(axis, RangeAxis) and random != (axis.count is None):
-                raise PydanticCustomError(
-                    "count",
-                    "allowed: no count where the design is quasi-random, a count elsewhere",
-                    {"field": f"axes.{i}.count"},
-                )
-        lengths = [axis_length(axis) for axis in self.axes]
-        if isinstance(self.design, Zip) and len(set(lengths)) > 1:
-            raise PydanticCustomError(
-                "zip",
-                "allowed: axes of one length; these have {n}",
-                {"n": ", ".join(map(str, lengths)), "field": "axes"},
-            )
+    def _axes_fit(self) -> Sweep:
+        check_fields(self.axes, FIXED)
+        check_lengths(self.axes, self.design)
         return self
 
     @model_validator(mode="after")
@@ -230,6 +198,46 @@ def axes_with_kinds(value: Any) -> Any:
         {"kind": "list", **axis} if isinstance(axis, dict) and "values" in axis else axis
         for axis in value
     ]
+
+
+def check_fields(axes: tuple[Axis, ...], fixed: tuple[str, ...]) -> None:
+    """Refuse axes over what all points have in common, and fields that are varied twice."""
+    seen: list[str] = []
+    for i, axis in enumerate(axes):
+        for name in axis.fields:
+            if name.split(".")[0] in fixed:
+                allowed = f"allowed: a field that points may differ in, not {name}"
+            elif name in seen:
+                allowed = f"allowed: each field in one axis; twice: {name}"
+            elif any(name.startswith(f"{s}.") or s.startswith(f"{name}.") for s in seen):
+                allowed = f"allowed: fields that hold none of the others; {name} does"
+            else:
+                seen.append(name)
+                continue
+            raise PydanticCustomError(
+                "axis", "{allowed}", {"allowed": allowed, "field": f"axes.{i}"}
+            )
+
+
+def check_lengths(axes: tuple[Axis, ...], design: DesignWish) -> None:
+    """Refuse axes that have not as many values as their design asks for."""
+    random = isinstance(design, QuasiRandom)
+    if random and not axes:
+        raise PydanticCustomError("axes", "allowed: axes, or no design", {"field": "design"})
+    for i, axis in enumerate(axes):
+        if isinstance(axis, RangeAxis) and random != (axis.count is None):
+            raise PydanticCustomError(
+                "count",
+                "allowed: no count where the design is quasi-random, a count elsewhere",
+                {"field": f"axes.{i}.count"},
+            )
+    lengths = [axis_length(axis) for axis in axes]
+    if isinstance(design, Zip) and len(set(lengths)) > 1:
+        raise PydanticCustomError(
+            "zip",
+            "allowed: axes of one length; these have {n}",
+            {"n": ", ".join(map(str, lengths)), "field": "axes"},
+        )
 
 
 def points_of(axes: tuple[Axis, ...], design: DesignWish, seeds: int) -> int:

@@ -36,12 +36,8 @@ WHOLE = ("point", "seed")
 
 def schema_of(sweep: Sweep, names: tuple[str, ...]) -> pa.Schema:
     """The columns of the table of points. names : of the targets whose metrics are told."""
-    design = Design(sweep)
     columns: list[tuple[str, pa.DataType]] = [("point", pa.int64()), ("seed", pa.int64())]
-    for axis in sweep.axes:
-        for name in axis.fields:
-            if name != "seed":
-                columns.append((name, _type_of(design.extremes(name))))
+    columns += [(name, kind) for name, kind in kinds_of(Design(sweep)).items() if name != "seed"]
     columns += [("status", pa.string()), ("message", pa.string())]
     columns += [("content_digest", pa.string())]
     told = {
@@ -60,6 +56,12 @@ def schema_of(sweep: Sweep, names: tuple[str, ...]) -> pa.Schema:
             if metric in sweep.metrics:
                 columns += [(f"{stem}.{name}", pa.float64()) for stem in stems]
     return pa.schema(columns)
+
+
+def kinds_of(design: Design) -> dict[str, pa.DataType]:
+    """The columns' types of the fields that the axes vary."""
+    names = (name for axis in design.axes for name in axis.fields)
+    return {name: _type_of(design.extremes(name)) for name in names}
 
 
 def _type_of(values: list[object]) -> pa.DataType:
@@ -122,7 +124,7 @@ class PointLedger:
         self._since = time.monotonic()
         if not self._rows:
             return
-        rows = [{f.name: _fit(row.get(f.name), f.type) for f in self.schema} for row in self._rows]
+        rows = [{f.name: fit(row.get(f.name), f.type) for f in self.schema} for row in self._rows]
         folder = self.out / PARTS
         with whole_file(folder / f"part-{self._next:07d}.parquet") as own:
             pq.write_table(pa.Table.from_pylist(rows, self.schema), own, **OPTIONS)
@@ -169,7 +171,7 @@ def _span(path: Path) -> tuple[int, int]:
     return int(column.min()), int(column.max())
 
 
-def _fit(value: JsonValue, kind: pa.DataType) -> JsonValue:
+def fit(value: JsonValue, kind: pa.DataType) -> JsonValue:
     """A value as its column takes it."""
     if value is None:
         return None

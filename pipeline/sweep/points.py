@@ -10,6 +10,7 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from catalog_tools.catalogue import open_catalogue
 from catalog_tools.documents import JsonObject
@@ -25,6 +26,8 @@ from pipeline.sweep.dependence import AFTER_LIGHT, FLOOR, SKY_FLOOR
 from pipeline.sweep.design import Design
 from pipeline.sweep.stages import Base, Stages, is_plain, without_noise
 from pipeline.user_data import user_data_files
+
+WHOLE = TypeAdapter(int)  # as a scene takes its seed: 7, 7.0 and "7"
 
 
 @dataclass(frozen=True)
@@ -72,11 +75,17 @@ def scene_of(course: Course, design: Design, point: int) -> Scene:
     data = copy.deepcopy(course.data)
     for name, value in design.values(point).items():
         set_field(data, name, value)
-    seed = data.get("seed", 0)
-    if isinstance(seed, int) and not isinstance(seed, bool):
-        data["seed"] = seed + design.seed_step(point)
+    data["seed"] = later_seed(data.get("seed", 0), design.seed_step(point))
     data["name"] = f"{str(data.get('name', 'scene'))[:110]}-{point:07d}"
     return parse_scene(data, base=Path(course.base_folder))
+
+
+def later_seed(seed: object, step: int) -> object:
+    """A seed of plain data so many steps on; what is none stays, to be refused."""
+    try:
+        return seed if isinstance(seed, bool) else WHOLE.validate_python(seed) + step
+    except ValidationError:
+        return seed
 
 
 def files_of(course: Course) -> list[list[str]]:

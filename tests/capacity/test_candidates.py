@@ -15,11 +15,12 @@ import pytest
 from astropy.time import Time
 from scipy.stats import binom, norm
 
-from pipeline.capacity.candidates import ENDED, find_candidates, path_of
+from pipeline.capacity.candidates import ENDED, SCHEMA, find_candidates, path_of
 from pipeline.capacity.course import make_course, moments
 from pipeline.capacity.patterns import slots_of
 from pipeline.capacity.run import StudyOptions, run_study
 from pipeline.physics.vectors import from_angles, separation
+from pipeline.spec.scene import Exposure
 
 pytestmark = pytest.mark.usefixtures("coarse_signal")
 ALONE = StudyOptions("synchronous")
@@ -156,3 +157,8 @@ def test_what_sgp4_ends_is_told_in_later_batches(
     table = pq.read_table(path_of(tmp_path, (0, 1)))
     assert json.loads(table.schema.metadata[ENDED]) == [41]
     assert set(table["object"].to_pylist()) <= set(range(25, 50)) - {41}
+
+
+def test_columns_hold_the_most_frames_that_a_dwell_may_have() -> None:
+    most = max(m.le for m in Exposure.model_fields["frames"].metadata if hasattr(m, "le"))
+    assert np.array(most).astype(SCHEMA.field("frames").type.to_pandas_dtype()) == most

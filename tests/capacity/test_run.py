@@ -62,6 +62,50 @@ def test_points_have_their_values_of_all_axes_and_their_seeds(
     assert sorted(found) == [(n, a, s) for n, a in ((1, 0.1), (3, 0.6)) for s in (3, 4)]
 
 
+@pytest.mark.usefixtures("without_pictures")
+def test_an_axis_of_one_value_is_set_and_seeds_are_the_axes(data: Data, tmp_path: Path) -> None:
+    """Values of one axis may be numbers, files, mappings and nothing: text in the table."""
+    data |= {"duration_h": 1.0}
+    data["catalogue"]["synthetic"]["objects"] = 5
+    (tmp_path / "qe.csv").write_text("wavelength_nm,quantum_efficiency\n400,0.5\n900,0.5\n")
+    mixed, sky = [0.5, "qe.csv"], {"twilight_deg": -15}
+    for name, field, values, kept in (
+        ("one", "custody_h", [0.1], [0.1]),
+        ("seeds", "seed", [5, 9.0], [5, 9]),
+        ("mixed", "cameras.0.sensor.quantum_efficiency", mixed, ["0.5", "qe.csv"]),
+        ("empty", "sensors.0.field_of_regard", [{}, sky], ["{}", json.dumps(sky)]),
+    ):
+        made = data | {"axes": [{"field": field, "values": values}]}
+        report = run_study(made, tmp_path, tmp_path / name, StudyOptions("synchronous"))
+        table = pq.read_table(tmp_path / name / "points.parquet").to_pylist()
+        assert [row[field] for row in table] == kept
+        assert [row[field] for row in report["points"]] == values
+        own = [json.loads((tmp_path / name / "points" / f"{k:04d}" / "study.json").read_text())
+               for k in range(len(values))]  # fmt: skip
+        assert [study["seed"] for study in own] == (kept if field == "seed" else [3] * len(own))
+        assert own[0]["custody_h"] == (0.1 if name == "one" else 24.0)
+
+
+BAD_AXES: dict[str, tuple[Data, str]] = {
+    "lengths": ({"design": {"kind": "zip"}, "axes": [
+        {"field": "custody_h", "values": [5, 9, 3]}, {"field": "step_s", "values": [60, 120]}]},
+        "axes: .* axes of one length; these have 3, 2"),
+    "twice": ({"axes": [{"field": "custody_h", "values": [1, 2]},
+                        {"field": "custody_h", "values": [3, 4]}]}, "in one axis; twice"),
+    "no count": ({"axes": [{"field": "custody_h", "kind": "range", "start": 1, "stop": 10}]},
+                 r"axes\.0\.count: .* a count elsewhere"),
+    "its axes": ({"axes": [{"field": "axes", "values": [[]]}]}, "may differ in, not axes"),
+    "no axes": ({"design": {"kind": "sobol", "points": 4}}, "design: .* axes, or no design"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD_AXES)
+def test_axes_that_do_not_fit_are_refused_as_those_of_sweeps(case: str, data: Data) -> None:
+    changes, told = BAD_AXES[case]
+    with pytest.raises(BadInput, match=told):
+        forecast_of(data | changes, Path())
+
+
 def test_dwells_of_a_search_draw_each_for_itself(data: Data, tmp_path: Path) -> None:
     """One object in one sensor's fields a thousand times; `time_s` becomes the end of the dwell."""
     data["cameras"][0]["tracking"] = "sidereal"

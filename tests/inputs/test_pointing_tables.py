@@ -84,6 +84,21 @@ def test_times_as_utc(tmp_path: Path) -> None:
     assert np.allclose(g.attitude, plan_geometry(plain, np.arange(3), 0.0).attitude, atol=1e-9)
 
 
+def test_a_mounting_keeps_its_scalar_where_a_file_names_its_columns(tmp_path: Path) -> None:
+    """The rows' scalar stands where the names say; the mounting's where the scene says."""
+    path, turn = write(tmp_path, "csv"), Rotation.from_rotvec([0.3, -0.2, 0.5]).as_quat().tolist()
+    last, first, unsaid = (
+        plan_geometry(gather_pointing(scene({"path": str(path)} | told)), np.arange(3), 0.0)
+        for told in (
+            {"scalar": "last", "mounting": turn},
+            {"scalar": "first", "mounting": [turn[3], *turn[:3]]},
+            {"mounting": turn},
+        )
+    )
+    np.testing.assert_array_equal(first.attitude, last.attitude)
+    np.testing.assert_array_equal(unsaid.attitude, last.attitude)
+
+
 HEAD = "time_s,qx,qy,qz,qw\n"
 BAD = {
     "short": (HEAD + "0,0,0,0,1\n5,0,0,0,1\n", "rows over all exposures"),

@@ -134,6 +134,16 @@ def test_a_centroid_is_as_good_as_the_bound() -> None:
     np.testing.assert_allclose(covariance, wanted, rtol=5e-3, atol=1e-6)
 
 
+@pytest.mark.parametrize("sigma_px", [0.05, 0.1])
+def test_a_place_within_a_pixel_is_as_well_known_as_the_pixel(sigma_px: float) -> None:
+    """Of an image whose slopes tell nothing: 12^(-1/2) px an axis."""
+    sensor = night()["sensor"] | {"psf": {"kind": "gaussian", "sigma_px": sigma_px}}
+    row = observe(parse_scene(night(sensor=sensor)), None, 0.1, None, 7).table.to_pylist()[0]
+    pixel_arcsec = np.degrees(20e-6 / 0.1) * 3600.0
+    assert row["centroid_sigma_arcsec"] == pytest.approx(pixel_arcsec / 12**0.5, rel=2e-3)
+    assert np.isfinite(row["ra_measured_deg"])
+
+
 def test_noise_of_centroids_has_the_bounds_sigma() -> None:
     """200 exposures: the scatter of measured places is the sigma, and a seed repeats it."""
     scene = parse_scene(night(targets=night()["targets"][:1]))

@@ -19,6 +19,7 @@ from pipeline.spec.load import (
     load_scene,
     parse_scene,
     parse_text,
+    place_paths,
     scene_yaml,
 )
 
@@ -139,6 +140,21 @@ def test_catalogues_in_layers(tmp_path: Path, full: dict[str, Any]) -> None:
     assert stars.catalogues == (str(tmp_path / "a"), str(tmp_path / "c"))
     with pytest.raises(BadInput, match=r"stars\.catalogue\[1\].*each catalogue once"):
         load_scene(file, ["stars.catalogue=[a, ./x/../a]"])
+
+
+def test_paths_that_are_none_are_refused_by_their_fields(
+    tmp_path: Path, full: dict[str, Any]
+) -> None:
+    """Of users that are not there, with a null byte; what is no text is left."""
+    file = tmp_path / "scene.json"
+    for wrong in ("~no-such-user/x.csv", "a\0b.csv"):
+        full["sensor"]["quantum_efficiency"] = wrong
+        file.write_text(json.dumps(full))
+        with pytest.raises(BadInput, match=r"^sensor\.quantum_efficiency: .*a path; "):
+            load_scene(file)
+    data: dict[str, Any] = {"sensor": {"quantum_efficiency": [0.5, "x"]}}
+    place_paths(data, tmp_path)
+    assert data["sensor"]["quantum_efficiency"] == [0.5, str(tmp_path / "x")]
 
 
 def test_missing_large_and_strange_files(tmp_path: Path) -> None:

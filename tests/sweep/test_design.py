@@ -15,6 +15,7 @@ from pipeline.spec.load import MAX_BYTES
 from pipeline.spec.sweep_load import load_sweep, parse_sweep, read_sweep
 from pipeline.sweep.dependence import AFTER_LIGHT
 from pipeline.sweep.design import BLOCK, Design
+from pipeline.sweep.points import later_seed
 
 
 def design(axes, **rest) -> Design:
@@ -29,6 +30,12 @@ def test_grid_is_the_product_of_the_axes():
     ], seeds=2)  # fmt: skip
     found = [(*made.values(p).values(), made.seed_step(p)) for p in range(made.size)]
     assert found == list(itertools.product([1, 2], ["x", None, True], [0.0, 0.5, 1.0], [0, 1]))
+
+
+@pytest.mark.parametrize("seed", [7, 7.0, "7"])
+def test_every_seed_that_a_scene_takes_goes_on(seed):
+    assert [later_seed(seed, step) for step in range(3)] == [7, 8, 9]
+    assert [later_seed(wrong, 2) for wrong in (True, 7.5, "x", None)] == [True, 7.5, "x", None]
 
 
 def test_zip_and_ranges():

@@ -86,9 +86,11 @@ def table_phase(scene: Scene, index: int, view: View) -> Array:
 
 
 def spin_rad_s(body: MeshBody) -> float | None:
-    """Rate of the one even turn of a body or of a joint, 0 without; None where there are more."""
+    """Rate of the one even turn of a body or of a joint, 0 without; None where there are more, or
+    where a phase does not tell how it stands: the body follows a table as a joint spins."""
     rates = _rates(body)
-    return None if len(rates) > 1 else sum(rates)
+    tabled = bool(rates) and isinstance(body.attitude, TableAttitude)
+    return None if len(rates) > 1 or tabled else sum(rates)
 
 
 def decide_tables(scene: Scene) -> list[Decision]:
@@ -115,8 +117,8 @@ def _decision(scene: Scene, index: int, name: str, body: MeshBody) -> Decision:
     elif table is None:
         why = (
             f"{name}: none within a third of the about {wanted} moments that the frames need and "
-            f"{missed:.2g} of the light, or more than one part spins by itself: each frame works "
-            "out its own light"
+            f"{missed:.2g} of the light, or more than one part spins by itself, or one beside a "
+            "tabulated attitude: each frame works out its own light"
         )
     else:
         why = _worked_out(name, table, wanted)

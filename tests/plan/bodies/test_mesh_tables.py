@@ -17,6 +17,7 @@ from pipeline.plan.bodies.mesh_tables import decide_tables, moments_wanted, tabl
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.spec.load import parse_scene
 from pipeline.spec.pointing.observer import GroundObserver
+from pipeline.spec.targets.mesh import MeshBody
 from tests.plan.bodies.test_bodies import SKY, TARGET
 from tests.slow import slow
 
@@ -309,3 +310,16 @@ def test_a_table_is_its_own_target_s_in_a_later_batch(monkeypatch: pytest.Monkey
     monkeypatch.setattr(paths, "_tabled_light", light_of)
     at, view = SimpleNamespace(offset_s=7.0), SimpleNamespace(of=lambda k: k.tolist())
     assert paths._tabled(None, range(2, 5), at, view) == {1: (3, 7.0, [1])}  # type: ignore
+
+
+def test_no_table_where_a_joint_spins_on_a_body_that_follows_a_table() -> None:
+    """A phase of the joint does not tell how such a body stands."""
+    law = {"kind": "table", "times_s": [0, 7200], "quaternions": [[1, 0, 0, 0], [0.9, 0.1, 0, 0]]}
+    joint = SimpleNamespace(law="spin", rate_rad_s=0.1)
+    for rate, attitude, spin in ((0.1, law, None), (0.0, law, 0.0), (0.1, WORK["none"], 0.1)):
+        joint.rate_rad_s = rate
+        mesh = {"kind": "mesh", "path": "a.obj", "unit": "m", "attitude": attitude,
+                "surface": {"kind": "lambert", "albedo": 0.3}}  # fmt: skip
+        body = MeshBody.model_validate(mesh)
+        body._model = SimpleNamespace(parts=[SimpleNamespace(joint=joint)])
+        assert mesh_tables.spin_rad_s(body) == spin
