@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import gzip
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from pipeline.errors import Missing
@@ -20,6 +25,21 @@ def fits() -> Any:
     from astropy.io import fits
 
     return fits
+
+
+@contextmanager
+def open_fits(path: Path) -> Iterator[Any]:
+    """The units of a FITS file; OSError where one that is packed is not what was packed: astropy
+    itself stops before the checksum."""
+    if path.suffix == ".gz":
+        try:
+            with gzip.open(path) as packed:
+                while packed.read(1 << 20):
+                    pass
+        except (EOFError, zlib.error) as error:
+            raise OSError(str(error)) from None
+    with fits().open(path) as units:
+        yield units
 
 
 def need_matplotlib(instead: str = "") -> None:

@@ -83,6 +83,10 @@ class About:
     facts: JsonObject
     coverage: JsonObject | None = None
 
+    def __post_init__(self) -> None:
+        for name in ("name", "description"):  # one line each, as the files of HATS hold them
+            object.__setattr__(self, name, " ".join(getattr(self, name).split()))
+
 
 @dataclass(frozen=True)
 class IngestReport:

@@ -197,7 +197,7 @@ def _integers(column: pa.ChunkedArray, place: str, before: int) -> pa.ChunkedArr
 
 
 def _trailing_integers(column: pa.ChunkedArray, place: str, before: int) -> pa.ChunkedArray:
-    digits = pc.struct_field(pc.extract_regex(column, r"(?P<id>\d{1,19})\s*$"), "id")
+    digits = pc.struct_field(pc.extract_regex(column, r"(?P<id>\d+)\s*$"), "id")
     wrong = pc.and_(pc.is_null(digits), pc.is_valid(column)).to_numpy()
     if wrong.any():
         row = int(np.argmax(wrong))

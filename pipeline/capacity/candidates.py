@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from catalog_tools.storage.durable import whole_file
 from pipeline.capacity.course import BATCH, StudyCourse, moments
-from pipeline.capacity.patterns import field_rad, pattern_sights
+from pipeline.capacity.fields import field_rad
+from pipeline.capacity.patterns import pattern_sights
 from pipeline.physics.detection import detection_probability
 from pipeline.physics.positions.orbit_screen import WHOLE, states_together
 from pipeline.physics.positions.orbit_sgp4 import since_epochs_s
@@ -124,7 +125,7 @@ def _frames(watcher: Watcher, s: Sights) -> NDArray[np.int64]:
         return np.full(len(s), e.frames)
     stays_s = 0.5 * min(field_rad(watcher)) / np.maximum(s.rate, LEAST_RATE)
     inside = 1.0 + np.floor((stays_s - 0.5 * e.integration_s) / e.step_s)
-    return np.clip(inside, 1, e.frames).astype(np.int64)
+    return np.clip(inside, 0, e.frames).astype(np.int64)
 
 
 def _table(

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject
+from pipeline.capacity.fields import axes_of_fields
 from pipeline.errors import BadInput
 from pipeline.physics.constants import DAY_S
 from pipeline.physics.detection import snr_of, threshold_sigma
@@ -20,7 +21,7 @@ from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.vectors import from_angles
 from pipeline.plan.targets.orbit_age import sensor_remarks
 from pipeline.spec.pointing.observer import GroundObserver
-from pipeline.spec.study import CuedTasking, Study
+from pipeline.spec.study import CuedTasking, SearchPattern, Study
 from pipeline.spec.study_load import parse_study
 from pipeline.store.product import files_digest
 from pipeline.survey.elements import (
@@ -43,6 +44,9 @@ SKY_CPU_S = 0.03  # of a table of the sky
 STRAY_CPU_S, STRAY_PAIR_CPU_S = 1.5e-3, 4e-6  # of stray light: a step of a batch, and of an object
 CAMERA_KEYS = ("sensor", "exposure", "background")
 LOOKS, LOOK_STEPS = 500, 200  # directions and moments at which a field of regard is tried
+FEW_FIELDS = 16  # of a search that are tried first
+MANY_STEPS = 20_000  # moments before a sensor is said to look at none
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # the step, of the period, that meets all hours of the day
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +141,7 @@ def make_course(data: JsonObject, out: Path) -> StudyCourse:
     watchers = tuple(_watcher(data, study, i, epoch) for i in range(len(study.sensors)))
     elements, census = _elements(study, epoch)
     census.unmet += (*_unnamed(study, elements), *_rounded(study))
-    idle = [_idle(watcher, study.duration_h * 3600.0) for watcher in watchers]
+    idle = [_idle(watcher, study.duration_h * 3600.0, study.tasking) for watcher in watchers]
     if all(idle) and idle[0] is not None:
         raise idle[0]
     text = json.dumps([study.as_dict(), files_digest(data)], sort_keys=True).encode()
@@ -236,27 +240,48 @@ def _unnamed(study: Study, elements: Elements) -> list[str]:
     ]
 
 
-def _idle(watcher: Watcher, length_s: float) -> BadInput | None:
-    """Why a sensor never looks during the period: no dark or no clear hour; None where it does.
+def _may_look(
+    watcher: Watcher, watch: WatchMoments, k: NDArray[np.int64], u: NDArray[np.float64]
+) -> bool:
+    """Whether any of the directions u (r, 3) is allowed at its moment k (r,)."""
+    height = np.arcsin(np.clip(np.sum(u * watch.up[k], axis=-1), -1.0, 1.0))
+    return bool(allowed(watcher, watch, k, u, height).any())
+
+
+def _idle(
+    watcher: Watcher, length_s: float, tasking: CuedTasking | SearchPattern
+) -> BadInput | None:
+    """Why a sensor never looks during the period: no dark or no clear hour, or no field of its
+    search that it may look at; None where it does.
 
     Raises BadInput for exclusions that leave no direction at any time.
     """
-    at = np.linspace(0.0, length_s, LOOK_STEPS + 2)[1:-1]
     field, regard = f"{watcher.field}field_of_regard", watcher.regard
-    watch = watcher.watch(at)
-    if not watch.works.any():
+    for steps in (LOOK_STEPS, MANY_STEPS):
+        watch = watcher.watch(length_s * np.sort(GOLDEN * np.arange(1, steps + 1) % 1.0))
+        if watch.works.any():
+            break
+    else:
         if isinstance(watcher.observer, GroundObserver) and regard.clear_fraction == 1.0:
             told = f"{regard.twilight_deg:g} (never dark enough)"
             allowed_ = "a Sun that sinks below it in the period"
             return BadInput(f"{field}.twilight_deg", told, allowed_)
         told = "no clear dark hour in the period"
         return BadInput(field, told, "a longer period, more clear sky")
+    working = np.flatnonzero(watch.works)[:LOOK_STEPS]
+    if isinstance(tasking, SearchPattern):
+        for places in (FEW_FIELDS, LOOKS):
+            share = (np.arange(places) + 0.5) / places
+            at_deg = tasking.from_deg + share * (tasking.to_deg - tasking.from_deg)
+            moments = watcher.watch(np.repeat(watch.offset_s[working], places))
+            along = axes_of_fields(watcher, moments, tasking, np.tile(at_deg, len(working)))[:, 2]
+            if _may_look(watcher, moments, np.arange(len(along)), along):
+                return None
+        told = f"a {tasking.pattern} of which no field is ever within its field of regard"
+        return BadInput("tasking", told, "fields that a sensor may look at")
     rng = np.random.default_rng(0)
     u = from_angles(rng.uniform(0, 2 * np.pi, LOOKS), np.arcsin(rng.uniform(-1, 1, LOOKS)))
-    k = np.repeat(np.flatnonzero(watch.works), LOOKS)
-    u = np.tile(u, (len(k) // LOOKS, 1))
-    height = np.arcsin(np.clip(np.sum(u * watch.up[k], axis=-1), -1.0, 1.0))
-    if not allowed(watcher, watch, k, u, height).any():
+    if not _may_look(watcher, watch, np.repeat(working, LOOKS), np.tile(u, (len(working), 1))):
         told = "exclusions that leave no direction at any time"
         raise BadInput(field, told, "smaller angles, or other elevations")
     return None

@@ -11,12 +11,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pipeline.capacity.course import StudyCourse, moments
+from pipeline.capacity.fields import axes_of_fields, field_rad
 from pipeline.physics.constants import DEG_RAD
-from pipeline.physics.positions.earth import gcrs_to_itrs
-from pipeline.physics.positions.times import instants
-from pipeline.physics.vectors import from_angles, separation, to_angles, unit
-from pipeline.plan.pointing.site import axes_of
-from pipeline.spec.pointing.observer import GroundObserver
+from pipeline.physics.vectors import separation
 from pipeline.spec.study import SearchPattern
 from pipeline.survey.elements import Elements
 from pipeline.survey.sights import Sights, sights_of
@@ -25,7 +22,6 @@ from pipeline.survey.watch import Watcher, WatchMoments
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-RING_M = 42_164_172.0  # radius of the geostationary ring
 RING_PLACES = 721  # at which its distance is looked at
 
 
@@ -53,11 +49,12 @@ def slots_of(course: StudyCourse, window: int, unit_: int) -> Slots:
     span_deg = pattern.to_deg - pattern.from_deg
     seen = span_deg * DEG_RAD * _seen_share(watcher, pattern, height)
     count = max(1, int(np.ceil(seen / stride)))
-    slew = sensor.slewing  # by a field's width from one to the next, and back by all of them
-    each = stride / (slew.rate_deg_s * DEG_RAD) + slew.settle_s + watcher.dwell_s
+    slew = sensor.slewing  # from one to the next, and back by all of them
+    step = seen / count if count > 1 else 0.0
+    each = step / (slew.rate_deg_s * DEG_RAD) + slew.settle_s + watcher.dwell_s
     at_deg = pattern.from_deg + (np.arange(count) + 0.5) * span_deg / count
-    ends = _axes(watcher, watcher.watch(np.zeros(2)), pattern, at_deg[[0, -1]])[:, 2]
-    more = max(0.0, float(separation(*ends)) - stride) / (slew.rate_deg_s * DEG_RAD)
+    ends = axes_of_fields(watcher, watcher.watch(np.zeros(2)), pattern, at_deg[[0, -1]])[:, 2]
+    more = max(0.0, float(separation(*ends)) - step) / (slew.rate_deg_s * DEG_RAD)
     first = (unit_ - int(np.searchsorted(course.units, j))) * count // sensor.count
     start, *_, end = course.offsets_s(window)
     number, middle_s = _times(start, end, count, first, each, more)
@@ -65,7 +62,7 @@ def slots_of(course: StudyCourse, window: int, unit_: int) -> Slots:
     at_deg = at_deg[number % count]
     e = watcher.resolved.scene.exposure
     frames = np.asarray((np.arange(e.frames) - 0.5 * (e.frames - 1)) * e.step_s, float)
-    return Slots(watch, _axes(watcher, watch, pattern, at_deg), frames)
+    return Slots(watch, axes_of_fields(watcher, watch, pattern, at_deg), frames)
 
 
 def _seen_share(watcher: Watcher, pattern: SearchPattern, height: float) -> float:
@@ -78,7 +75,7 @@ def _seen_share(watcher: Watcher, pattern: SearchPattern, height: float) -> floa
         side = abs(pattern.declination_deg) * DEG_RAD - 0.5 * height
         return float(np.cos(max(0.0, side)))
     at_deg, step_deg = np.linspace(pattern.from_deg, pattern.to_deg, RING_PLACES, retstep=True)
-    along = _axes(watcher, watcher.watch(np.zeros(RING_PLACES)), pattern, at_deg)[:, 2]
+    along = axes_of_fields(watcher, watcher.watch(np.zeros(RING_PLACES)), pattern, at_deg)[:, 2]
     return float(separation(along[1:], along[:-1]).max() / (step_deg * DEG_RAD))
 
 
@@ -95,45 +92,6 @@ def _times(
     middle_s = (number - first + 0.5) * each + number // count * more
     inside = (middle_s >= start) & (middle_s < end)
     return number[inside], middle_s[inside]
-
-
-def field_rad(watcher: Watcher) -> tuple[float, float]:
-    """Height and width of a sensor's field [rad]."""
-    camera, ifov = watcher.resolved.camera, watcher.resolved.facts.ifov_rad
-    return 2.0 * np.arctan(camera.rows * ifov / 2), 2.0 * np.arctan(camera.columns * ifov / 2)
-
-
-def _axes(watcher: Watcher, watch: WatchMoments, pattern: SearchPattern, at_deg: Array) -> Array:
-    """Axes (q, 3, 3: across, up, along) of fields, TEME: up is towards the pole or the zenith."""
-    at = at_deg * DEG_RAD
-    pole = np.einsum("nji,j->ni", watch.to_gcrs, np.array([0.0, 0.0, 1.0]))
-    if pattern.pattern == "fence":
-        north, east = _level(watcher, watch)
-        azimuth = pattern.azimuth_deg * DEG_RAD
-        level = np.cos(azimuth) * north + np.sin(azimuth) * east
-        along, up = np.cos(at)[:, None] * level + np.sin(at)[:, None] * watch.up, watch.up
-    elif pattern.pattern == "belt":
-        times = instants(watcher.epoch, watch.offset_s, watcher.resolved.dut1_s)
-        ring = RING_M * from_angles(at, np.zeros_like(at))
-        to_teme = np.einsum("nki,njk->nij", watch.to_gcrs, gcrs_to_itrs(times))
-        along, up = unit(np.einsum("nij,nj->ni", to_teme, ring) - watch.observer_m), pole
-    else:
-        sun = to_angles(np.einsum("nij,nj->ni", watch.to_gcrs, watch.sun_m))[0]
-        strip = from_angles(sun + np.pi + at, np.full(len(at), pattern.declination_deg * DEG_RAD))
-        along, up = np.einsum("nji,nj->ni", watch.to_gcrs, strip), pole
-    across = unit(np.cross(along, up))
-    return np.stack([across, np.cross(across, along), along], axis=1)
-
-
-def _level(watcher: Watcher, watch: WatchMoments) -> tuple[Array, Array]:
-    """North and east (q, 3), TEME: a site's own; of a satellite by TEME's axis."""
-    site = watcher.observer
-    if isinstance(site, GroundObserver):
-        times = instants(watcher.epoch, watch.offset_s, watcher.resolved.dut1_s)
-        north, east, _ = np.einsum("nji,nkj->kni", watch.to_gcrs, axes_of(site, times))
-        return north, east
-    east = unit(np.cross([0.0, 0.0, 1.0], watch.up))
-    return np.cross(watch.up, east), east
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

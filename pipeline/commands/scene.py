@@ -63,7 +63,7 @@ def light_curve(
 ) -> None:
     """Magnitude, phase angle, range and eclipse of targets against time, as Parquet or CSV."""
     check_ending(output, ENDINGS)
-    loaded = read_files(load_scene(scene, set_ or []))
+    loaded = read_files(load_scene(scene, set_ or []), (start, start if stop is None else stop))
     response = gather_response(loaded)[0]
     count = write_light_curves(
         light_curves(loaded, target or [], response, start, stop, points), output, plot

@@ -10,6 +10,7 @@ import typer
 
 from catalog_tools.engine.addresses import check_address
 from catalog_tools.engine.clusters import set_up_dask, work
+from pipeline.errors import BadInput
 
 
 def worker(
@@ -26,6 +27,8 @@ def worker(
     """Draw for a scheduler, with the certificates of the environment. Exit 4 when it goes away."""
     check_address(address)
     set_up_dask()
+    if memory != "auto":
+        _check_memory(memory)
     asyncio.run(
         work(
             address,
@@ -37,3 +40,13 @@ def worker(
             local_directory=folder and str(folder),
         )
     )
+
+
+def _check_memory(memory: str) -> None:
+    """Refuse what Dask does not take for bytes, or for a fraction of the machine's."""
+    from dask.utils import parse_bytes
+
+    try:
+        parse_bytes(memory)
+    except ValueError:
+        raise BadInput("--memory", memory, "such as 2GiB, or auto") from None

@@ -15,8 +15,18 @@ def free_mb() -> float:
     free = psutil.virtual_memory().available
     limit = _number(GROUP / "memory.max")
     if limit is not None:
-        free = min(free, limit - (_number(GROUP / "memory.current") or 0.0))
+        held = (_number(GROUP / "memory.current") or 0.0) - _files_cached()
+        free = min(free, limit - max(held, 0.0))
     return (max(free, 0.0) + own) / 1e6
+
+
+def _files_cached() -> float:
+    """Bytes of files that the group's memory holds: given back as soon as others need them."""
+    try:
+        told = dict(line.split() for line in (GROUP / "memory.stat").read_text().splitlines())
+        return float(told["inactive_file"]) + float(told["active_file"])
+    except (OSError, ValueError, KeyError):
+        return 0.0
 
 
 def _number(path: Path) -> float | None:

@@ -7,20 +7,22 @@ from pipeline.inputs.band.response import gather_response
 from pipeline.inputs.earth_orientation import with_pole
 from pipeline.inputs.pointing_tables import gather_pointing
 from pipeline.inputs.sensor.distortion import gather_distortion
-from pipeline.inputs.targets.ephemerides import gather_ephemerides
+from pipeline.inputs.targets.ephemerides import Span, gather_ephemerides
 from pipeline.plan.bodies.albedos import has_band_albedos, with_band_albedos
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 
 
-def read_files(scene: Scene) -> Scene:
+def read_files(scene: Scene, also_s: Span | None = None) -> Scene:
     """The scene with what its files of orbits, pointing, distortion and meshes say, albedos over
     the band, and the wavelength that the air above its site bends.
+
+    also_s : which times orbits are to cover beside the exposures
 
     Raises BadInput for a file that cannot be used.
     """
     for step in STEPS:
-        scene = step(scene)
+        scene = gather_ephemerides(scene, also_s) if step is gather_ephemerides else step(scene)
     return scene
 
 

@@ -16,15 +16,20 @@ from pipeline.spec.load import (
     read_format_file,
 )
 from pipeline.spec.study import Study
+from pipeline.spec.sweep_load import check_overrides
 
 FORMAT = "study", "start, sensors"
 
 
 def read_study(path: Path, overrides: Iterable[str] = ()) -> JsonObject:
-    """The plain data of a study file with `a.b=value` overrides; not yet checked."""
+    """The plain data of a study file with `a.b=value` overrides; checked only where there are any:
+    BadInput for one of a field that an axis changes, where it would have no effect."""
     data = plain_mapping(read_format_file(path, "STUDY", "study"), *FORMAT)
+    overrides = list(overrides)
     for override in overrides:
         apply_override(data, override)
+    if overrides:
+        check_overrides(overrides, parse_study(data).axes, "study")
     return data
 
 

@@ -150,6 +150,13 @@ class Sweep(Strict):
     def _kind_may_be_left_out(cls, value: object) -> object:
         return axes_with_kinds(value)
 
+    @field_validator("targets")
+    @classmethod
+    def _each_once(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        if value is not None and len(set(value)) < len(value):
+            raise PydanticCustomError("targets", "allowed: each name once")
+        return value
+
     @model_validator(mode="after")
     def _axes_fit(self) -> Sweep:
         check_fields(self.axes, FIXED)

@@ -75,6 +75,7 @@ def find(scene: Scene, request: FindOptions, workers: int | None = None) -> Foun
     """
     if not scene.populations:
         raise BadInput("populations", "none", "at least one file of element sets to look through")
+    _check(request)
     epoch = parse_utc(request.at, "--at") if request.at is not None else parse_utc(scene.epoch)
     watcher = _watcher(scene, request, epoch)
     offsets = _offsets(watcher, request)
@@ -95,6 +96,16 @@ def find(scene: Scene, request: FindOptions, workers: int | None = None) -> Foun
     notes = _notes(watcher, search, census, request) + _aged(watcher, elements, offsets)
     notes += _not_held(scene)
     return FoundObjects(objects, len(elements), times[0], times[1], notes)
+
+
+def _check(request: FindOptions) -> None:
+    """BadInput for steps, hours or an SNR that are none."""
+    least = {"--step": (request.step_s, 0.0), "--snr": (request.least_snr, 0.0)}
+    for name, (value, above) in least.items():
+        if not above < value < math.inf:
+            raise BadInput(name, value, f"a number above {above:g}")
+    if not 0.0 <= request.hours < math.inf:
+        raise BadInput("--hours", request.hours, "a number from 0")
 
 
 def _aged(watcher: Watcher, elements: Elements, offsets: Array) -> list[str]:

@@ -25,16 +25,18 @@ from pipeline.physics.targets.shadow import MOON_RADIUS_M, moon_m
 from pipeline.physics.vectors import angular_radius, from_angles, separation, unit
 from pipeline.plan.bodies.orbits import orbit_states
 from pipeline.plan.pointing.air import terms_of
-from pipeline.plan.pointing.geometry import zenith_pointing
+from pipeline.plan.pointing.geometry import camera_of, moments_at, zenith_pointing
 from pipeline.plan.pointing.lamps import hidden_rad
 from pipeline.plan.pointing.site import axes_of, place_of
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.sky.doubts import sun_exclusion_rad
+from pipeline.plan.sky.light import background_of, nearest_known_rad
 from pipeline.resolve.files import read_files
 from pipeline.resolve.resolve import resolve
 from pipeline.spec.load import parse_scene
 from pipeline.spec.pointing.observer import GroundObserver, OrbitObserver
-from pipeline.spec.pointing.pointing import Pointing
+from pipeline.spec.pointing.pointing import Pointing, SiderealPointing
+from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import TimeDelay
 from pipeline.spec.study import FieldOfRegard
 from pipeline.survey.signal import SignalTable, signal_table
@@ -307,6 +309,16 @@ class WatchMoments:
         return self.motion_m_s / SPEED_OF_LIGHT_M_S
 
 
+def _is_near_sun(scene: Scene, pointing: SiderealPointing) -> bool:
+    """Whether the field of a pointing is so near to the Sun, at the epoch, that zodiacal light is
+    not known there: it is told direction by direction where a sensor looks."""
+    at = moments_at(scene, 0.0, np.zeros(1))
+    look = DEG_RAD * np.array([pointing.boresight_ra_deg, pointing.boresight_dec_deg])
+    apart = separation(from_angles(*look), at.earth.sun_from_earth_m - at.observer_m)
+    known = nearest_known_rad(background_of(scene).zodiacal)
+    return bool(apart.min() < known + corner_radius(camera_of(scene)) + DEG_RAD)
+
+
 def make_watcher(
     sections: JsonObject,
     regard: FieldOfRegard,
@@ -339,7 +351,8 @@ def make_watcher(
     up = {"pointing": zenith_pointing(read)}
     steady = None
     if scene.background is not None:
-        kept = scene.background.model_copy(update=dict.fromkeys(CHANGING))
+        near_sun = ("zodiacal",) if _is_near_sun(read, up["pointing"]) else ()
+        kept = scene.background.model_copy(update=dict.fromkeys((*CHANGING, *near_sun)))
         uniform = (kept.uniform_mag_arcsec2, kept.uniform_e_per_s)
         steady = kept if kept.varies or any(v is not None for v in uniform) else None
     resolved = resolve(scene.model_copy(update=up | {"background": steady})).scene

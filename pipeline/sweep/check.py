@@ -11,7 +11,7 @@ from pipeline.plan.needs import predict
 from pipeline.route.prepare import Prepared, check_room, prepare
 from pipeline.route.run import Options
 from pipeline.spec.load import parse_scene
-from pipeline.sweep.points import Course, check_axes, scene_of
+from pipeline.sweep.points import Course, check_axes, names_of_axes, scene_of
 
 MOST_TARGETS = 64
 
@@ -54,7 +54,7 @@ def check(course: Course, options: Options | None = None) -> Checked:
     if not found:
         raise faults[0]
     return Checked(
-        _measured(course, found[0]),
+        _measured(course, found),
         [c.digest for c in found[0].catalogues],
         [f"point {point}: {warning}" for warning, point in warnings.items()],
         max(predict(one.plan, one.forecast, one.spent)["cpu_s"] for one in found),
@@ -69,9 +69,11 @@ def _planned(course: Course, point: int, options: Options | None) -> Prepared:
     return one
 
 
-def _measured(course: Course, found: Prepared) -> tuple[str, ...]:
-    """Names of the targets measured. BadInput for one that is not there, and for too many."""
-    known = tuple(t.name for t in found.plan.scene.targets)
+def _measured(course: Course, found: list[Prepared]) -> tuple[str, ...]:
+    """Names of the targets measured, of whatever points have them. BadInput for one that is not
+    there, and for too many."""
+    named = (t.name for one in found for t in one.plan.scene.targets)
+    known = tuple(dict.fromkeys((*named, *names_of_axes(course))))
     names = known if course.sweep.targets is None else course.sweep.targets
     for i, name in enumerate(names):
         if name not in known:

@@ -111,6 +111,15 @@ def files_of(course: Course) -> list[list[str]]:
     return [list(one) for one in sorted(found)]
 
 
+def names_of_axes(course: Course) -> Iterator[str]:
+    """Names of the targets that values of axes bring with them."""
+    for field, value in _words(course):
+        if field.split(".")[0] == "targets":
+            data = copy.deepcopy(course.data)
+            set_field(data, field, value)
+            yield from (str(target["name"]) for target in data["targets"] if "name" in target)
+
+
 def _catalogues_in(data: JsonObject) -> Iterator[tuple[str, str]]:
     """Field and path of the catalogues that plain data names, but for folders that are not there:
     as with files, points that need one fail."""

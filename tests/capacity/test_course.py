@@ -29,6 +29,18 @@ def test_weather_comes_by_the_studys_seed(data: Data, tmp_path: Path) -> None:
     assert (clear[0] != clear[2]).any()
 
 
+@pytest.mark.parametrize(("hours", "more"), [(4824.0, {}), (8766.0, {"clear_fraction": 0.005})])
+def test_a_sensor_that_works_now_and_then_is_no_idle_one(
+    hours: float, more: Data, data: Data, tmp_path: Path
+) -> None:
+    """By moments at all hours of the day: 200 of 201 days are not all at noon; and by many, where
+    it is clear for a few hours of a year."""
+    data |= {"start": "2019-04-20T22:00:00Z", "duration_h": hours, "step_s": 600}
+    data["sensors"] = data["sensors"][:1]
+    data["sensors"][0]["field_of_regard"] = {"twilight_deg": -12.0} | more
+    assert make_course(data, tmp_path).idle == ()
+
+
 def rows_of(data: Data, folder: Path, least_snr: float | None = None) -> list[tuple[Any, ...]]:
     """The candidates of a study's first window, and how likely each is in one frame."""
     course = make_course(data, folder)

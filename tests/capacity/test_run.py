@@ -19,6 +19,7 @@ import pytest
 from pipeline.capacity.course import make_course
 from pipeline.capacity.run import StudyOptions, _is_whole, _searched, forecast_of, run_study
 from pipeline.errors import BadInput, Incomplete
+from pipeline.spec.study_load import read_study
 from pipeline.sweep.ledger import PointLedger
 from pipeline.sweep.run import SweepProgress
 from tests.command import nightglass
@@ -84,6 +85,14 @@ def test_an_axis_of_one_value_is_set_and_seeds_are_the_axes(data: Data, tmp_path
                for k in range(len(values))]  # fmt: skip
         assert [study["seed"] for study in own] == (kept if field == "seed" else [3] * len(own))
         assert own[0]["custody_h"] == (0.1 if name == "one" else 24.0)
+
+
+def test_a_key_that_an_axis_changes_is_not_set(data: Data, tmp_path: Path) -> None:
+    data["axes"] = [{"field": "custody_h", "values": [1, 2]}]
+    (tmp_path / "study.json").write_text(json.dumps(data))
+    with pytest.raises(BadInput, match=r"--set: .*a field that no axis of the study changes"):
+        read_study(tmp_path / "study.json", ["custody_h=3"])
+    assert read_study(tmp_path / "study.json", ["seed=9"])["seed"] == 9
 
 
 BAD_AXES: dict[str, tuple[Data, str]] = {

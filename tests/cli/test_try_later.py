@@ -43,6 +43,8 @@ def test_a_scheduler_that_does_not_answer(scene_file, tmp_path, closed_port):
     assert (ran.returncode, address in ran.stderr) == (4, True)
     ran = nightglass("worker", "tcp://10.1.2.3:8786")
     assert ran.returncode == 2
+    ran = nightglass("worker", address, "--memory", "foo")
+    assert (ran.returncode, "--memory: 'foo' is not accepted" in ran.stderr) == (2, True)
 
 
 @pytest.mark.parametrize(

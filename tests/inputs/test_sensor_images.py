@@ -125,6 +125,19 @@ def test_ends_of_what_a_pixel_may_hold(tmp_path, key, least, most):
             gather_sensor_maps(scene(**{key: str(path)}))
 
 
+@pytest.mark.parametrize("damage", ["checksum", "cut"])
+def test_a_packed_image_that_is_damaged_is_refused(tmp_path, damage):
+    """Also behind the last pixel, where astropy no longer reads."""
+    path = tmp_path / "flat.fits.gz"
+    fits.PrimaryHDU(np.random.default_rng(1).uniform(0.9, 1.1, (32, 48))).writeto(path)
+    assert gather_sensor_maps(scene(flat=str(path))).flat.shape == (32, 48)
+    whole = bytearray(path.read_bytes())
+    whole[-6] ^= 1
+    path.write_bytes(whole if damage == "checksum" else whole[:-9])
+    with pytest.raises(BadInput, match=r"sensor\.flat: .*a readable FITS image"):
+        gather_sensor_maps(scene(flat=str(path)))
+
+
 def test_memory_is_what_machine_and_container_leave(tmp_path, monkeypatch):
     """The lesser of both, with what the process holds already."""
     machine = psutil.virtual_memory().available
@@ -134,6 +147,10 @@ def test_memory_is_what_machine_and_container_leave(tmp_path, monkeypatch):
     for most, held, free in (("3000000000", "1000000000", 2e9), ("500000000", "900000000", 0.0),
                              ("400000000", "", 4e8)):  # fmt: skip
         (tmp_path / "memory.max").write_text(most + "\n")
+        (tmp_path / "memory.current").write_text(held + "\n")
+        assert memory.free_mb() == pytest.approx((min(free, machine) + own) / 1e6, abs=30.0)
+    (tmp_path / "memory.stat").write_text("anon 5\ninactive_file 150000000\nactive_file 50000000\n")
+    for held, free in (("300000000", 3e8), ("100000000", 4e8)):  # files are given back
         (tmp_path / "memory.current").write_text(held + "\n")
         assert memory.free_mb() == pytest.approx((min(free, machine) + own) / 1e6, abs=30.0)
     (tmp_path / "memory.max").write_text("max\n")

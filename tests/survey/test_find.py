@@ -139,6 +139,10 @@ def test_an_empty_field_says_where_to_look() -> None:
     ("wish", "text"),
     [
         (FindOptions(at="yesterday"), "--at: 'yesterday' is not accepted"),
+        (FindOptions(step_s=0.0), "--step: 0.0 is not accepted; allowed: a number above 0"),
+        (FindOptions(step_s=float("nan")), "--step: nan"),
+        (FindOptions(least_snr=float("nan")), "--snr: nan"),
+        (FindOptions(hours=-1.0), "--hours: -1.0"),
         (FindOptions(hours=1e4), "--hours: 10000.0"),
         (FindOptions(hours=5.0, night=True), "--hours: '5 with --night' is not .*: one of the two"),
         (FindOptions(hours=50.0, step_s=1.0), "--step: 1.0"),

@@ -12,6 +12,7 @@ import pytest
 from astropy.time import Time
 from scipy.special import erf
 
+from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.vectors import from_angles, separation, unit
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.study import FieldOfRegard
@@ -242,3 +243,12 @@ def test_how_much_the_way_that_streaks_lie_changes_is_told(sigma_px: float) -> N
     told = [f"up to {100.0 * spread:.0f}% more or less"] if sigma_px == 0.3 else []
     assert [note.split("have ")[1].split(" (")[0] for note in w.direction_notes] == told
     assert make_watcher(asked, FieldOfRegard(), EPOCH, True).direction_notes == []
+
+
+@pytest.mark.parametrize("epoch", ["2019-05-24T22:20:00Z", "2019-05-25T08:20:00Z"])
+def test_the_sun_at_the_zenith_of_the_epoch_is_no_matter(epoch: str) -> None:
+    """Zodiacal light is told where a sensor looks: near the Sun it need not be known."""
+    site = {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3}
+    made = {"observer": site, "sensor": CAMERA, "exposure": {"integration_s": 1.0},
+            "background": {"zodiacal": True}}  # fmt: skip
+    assert make_watcher(made, FieldOfRegard(), parse_utc(epoch), True).sky is not None

@@ -784,3 +784,16 @@ def test_background_undoes_what_the_detector_does():
     measured.take(Tile(0, 0, 0, 0, 4, 8), 0, dn, np.full((4, 8), charge_e))
     step_e = 20.0 / (0.8 * (1.0 - 0.4 * charge_e / 90_000.0))  # of one DN
     assert measured.row()["background_e"] == pytest.approx(light_e, abs=0.51 * step_e)
+
+
+def test_metrics_of_targets_that_an_axis_brings(sweep_file, scene_data, tmp_path):
+    """Also of those that the first point does not have; of a name twice nothing is begun."""
+    ball = scene_data["targets"][0]
+    axis = {"field": "targets", "values": [[ball], [ball | {"name": "other"}], [ball]]}
+    out = tmp_path / "out"
+    run.sweep(sweep_file([axis], metrics=["snr"]), out, Options("synchronous"))
+    rows = pq.read_table(out / "points.parquet").to_pylist()
+    assert [row["snr.ball"] is None for row in rows] == [False, True, False]
+    assert rows[1]["snr.other"] == rows[0]["snr.ball"]
+    with pytest.raises(BadInput, match=r"targets: .* each name once"):
+        run.sweep(sweep_file([axis], targets=["ball", "ball"]), out)

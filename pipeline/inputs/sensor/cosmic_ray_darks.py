@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
-from pipeline.lazily import fits
+from pipeline.lazily import fits, open_fits
 from pipeline.physics.cosmic_rays.detect import (
     bad_pixels,
     find_events,
@@ -74,7 +74,7 @@ def _stored_shape(path: Path) -> tuple[int, ...]:
             stored = np.load(path, mmap_mode="r", allow_pickle=False)
             shape, kind = stored.shape, stored.dtype.kind
         elif path.name.endswith((".fits", ".fits.gz", ".fit", ".fits.fz")):
-            with fits().open(path) as hdus:
+            with open_fits(path) as hdus:
                 hdu = next((h for h in hdus if h.is_image and h.shape), None)
                 shape, kind = (hdu.shape if hdu is not None else ()), "f"
         else:

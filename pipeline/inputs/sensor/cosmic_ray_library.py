@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import write_atomically
 from pipeline.errors import BadInput
+from pipeline.lazily import open_fits
 from pipeline.physics.cosmic_rays.library import Library
 
 Ints = NDArray[np.int64]
@@ -37,7 +38,7 @@ def read_library(path: Path, field: str = FIELD) -> Library:
     if path.stat().st_size > LARGEST_BYTES:
         raise BadInput(field, str(path), f"a file of at most {LARGEST_BYTES} bytes")
     try:
-        with fits.open(path) as hdus:
+        with open_fits(path) as hdus:
             if TABLE not in hdus:
                 raise BadInput(field, str(path), f"a FITS file with a table {TABLE}")
             table = hdus[TABLE].data

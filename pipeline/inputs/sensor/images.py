@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
-from pipeline.lazily import fits
+from pipeline.lazily import fits, open_fits
 
 FITS_ENDINGS = (".fits", ".fits.gz", ".fit")
 
@@ -56,7 +56,7 @@ def declared_unit(given: str) -> str:
 
 def _read_fits(path: Path, field: str) -> np.ndarray | None:
     try:
-        with fits().open(path) as hdus:
+        with open_fits(path) as hdus:
             return next((h.data for h in hdus if getattr(h, "data", None) is not None), None)
     except (OSError, ValueError, TypeError) as error:
         raise BadInput(field, str(path), f"a readable FITS image; {error}") from None

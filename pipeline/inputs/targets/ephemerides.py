@@ -36,18 +36,23 @@ SPARE_ROWS = 16  # on either side, for the polynomials
 J2000_JD = 2451545.0
 
 
-def gather_ephemerides(scene: Scene) -> Scene:
+Span = tuple[float, float]  # seconds after the epoch
+
+
+def gather_ephemerides(scene: Scene, also_s: Span | None = None) -> Scene:
     """The scene with orbits that it names as files written out: as elements, or as GCRS rows.
 
     Kept are the rows around the exposures, the number of rows that each polynomial passes, and the
     error measured on left-out rows. Each file is read once. A scene without such files comes back
     as it is. BadInput where a file cannot be used or does not cover the exposures.
+
+    also_s : what rows are to cover beside the exposures
     """
     targets = [i for i, t in enumerate(scene.targets) if _is_file(t.orbit)]
     observer = getattr(scene.observer, "orbit", None)
     if not targets and not (observer is not None and _is_file(observer)):
         return scene
-    data, read = scene.as_dict(), _Reader(scene)
+    data, read = scene.as_dict(), _Reader(scene, also_s or (0.0, 0.0))
     for i in targets:
         data["targets"][i]["orbit"] = read.orbit(scene.targets[i].orbit, f"targets.{i}.orbit")
     if observer is not None and _is_file(observer):
@@ -62,10 +67,10 @@ def _is_file(orbit: Orbit) -> bool:
 class _Reader:
     """Reads each file once, and turns what it holds into plain data of an orbit."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, also_s: Span) -> None:
         self._epoch = parse_utc(scene.epoch)
         self._text = scene.epoch
-        self._dwell_s = end_s(scene)
+        self._span_s = min(0.0, also_s[0]), max(end_s(scene), also_s[1])
         self._files: dict[object, Any] = {}
 
     def orbit(self, orbit: Orbit, field: str) -> JsonObject:
@@ -90,21 +95,23 @@ class _Reader:
 
     def _rows(self, segments: list[Ephemeris], field: str, path: Path) -> JsonObject:
         """Rows of the segment that covers the exposures, in GCRS, after the scene's epoch."""
+        begin_s, stop_s = self._span_s
         spans = [elapsed_s(self._epoch, *s.useable) for s in segments]
-        fits = [k for k, (a, b) in enumerate(spans) if a <= 0.0 and b >= self._dwell_s]
+        fits = [k for k, (a, b) in enumerate(spans) if a <= begin_s and b >= stop_s]
         if not fits:
             shown = "; ".join(f"{_utc(s, 0)} to {_utc(s, 1)}" for s in segments[:4])
-            end = instants(self._epoch, [self._dwell_s])
+            ends = instants(self._epoch, [begin_s, stop_s])
+            since, until = (format_utc(*of) for of in zip(ends.utc1, ends.utc2, strict=True))
             raise BadInput(
                 f"{field}.path",
                 f"{path.name} covering {shown}",
-                f"one stretch of rows over all exposures, {format_utc(*self._epoch)} to "
-                f"{format_utc(end.utc1[0], end.utc2[0])}, and the light's way before",
+                f"one stretch of rows over all exposures, {since} to {until}, and the light's way "
+                "before",
             )
         table = segments[fits[0]]
         seconds = self._seconds(table)
-        first = max(int(np.searchsorted(seconds, -LIGHT_MARGIN_S)) - SPARE_ROWS, 0)
-        last = int(np.searchsorted(seconds, self._dwell_s)) + SPARE_ROWS
+        first = max(int(np.searchsorted(seconds, begin_s - LIGHT_MARGIN_S)) - SPARE_ROWS, 0)
+        last = int(np.searchsorted(seconds, stop_s)) + SPARE_ROWS
         keep = slice(first, last)
         if len(seconds[keep]) > MOST_ROWS:
             allowed = f"at most {MOST_ROWS} rows around the exposures"
@@ -112,8 +119,8 @@ class _Reader:
         seconds = seconds[keep]
         place, speed = to_gcrs(table, keep)
         near = np.zeros(len(seconds), bool)  # and one row on either side
-        before = int(np.searchsorted(seconds, -LIGHT_MARGIN_S)) - 1
-        near[max(before, 0) : int(np.searchsorted(seconds, self._dwell_s, side="right")) + 1] = True
+        before = int(np.searchsorted(seconds, begin_s - LIGHT_MARGIN_S)) - 1
+        near[max(before, 0) : int(np.searchsorted(seconds, stop_s, side="right")) + 1] = True
         wanted = near if near[1:-1].any() else None
         nodes, error = best_nodes(seconds, place, speed, wanted)
         columns = [seconds[:, None], place] + ([] if speed is None else [speed])

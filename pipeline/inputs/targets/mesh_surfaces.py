@@ -170,9 +170,10 @@ def read_brdf_table(
     raw, rows = _brdf_rows(path, name)
     axes, places = zip(*(np.unique(c, return_inverse=True) for c in rows.T[:3]), strict=True)
     shape = tuple(a.size for a in axes)
-    values = np.full(shape, np.nan)
-    values[places] = rows[:, 3] * scale
-    if rows.shape[0] != values.size or np.any(np.isnan(values)):
+    values = np.full(shape if math.prod(shape) == len(rows) else 0, np.nan)
+    if values.size:
+        values[places] = rows[:, 3] * scale
+    if not values.size or np.any(np.isnan(values)):
         allowed = f"one row for each point of the grid of {shape[0]} x {shape[1]} x {shape[2]}"
         raise BadInput(name, f"{path.name} of {len(rows)} rows", allowed)
     theta_i, theta_o, phi = (np.deg2rad(a) for a in axes)

@@ -14,6 +14,7 @@ Triangles = list[tuple[int, int, int]]
 Span = tuple[int, int]
 
 CROSSED = "a face that crosses itself"
+MOST_CORNERS = 1000  # of a face that folds: the time to cut it grows faster than their square
 LINE = re.compile(rb"(?m)^[ \t]*(v|f)[ \t]+([^\r\n#]*)")
 TOUCHING = 1e-12  # of a polygon's size, squared: a corner on an ear's side, an ear without area
 FOLDED = 1e-6  # of its largest triangle's area: what one of a fan may have on the wrong side
@@ -103,6 +104,8 @@ def cut(corners: Array) -> Triangles:
     fan = [(0, i, i + 1) for i in range(1, len(corners) - 1)]
     if not folds(corners[None])[0]:
         return fan
+    if len(corners) > MOST_CORNERS:
+        raise ValueError(f"a face that folds, of {len(corners)} corners (at most {MOST_CORNERS})")
     legs = corners[1:] - corners[0]
     normal = np.cross(legs[:-1], legs[1:]).sum(axis=0)
     if not normal.any():

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from lsst_refcat import convert
+from star_rows import random_stars, write_csv
 
 from catalog_tools.catalogue import LEAVES_DTYPE
 from catalog_tools.ingest.hats import write_hats_files
@@ -119,3 +120,12 @@ def test_maps_are_eight_times_as_fine_as_the_leaves(tmp_path, deepest, order):
     leaves["order"] = deepest
     counts = np.zeros(12 * 4**8, np.int64)
     assert write_hats_files(tmp_path, leaves, counts)["hats_skymap_order"] == order
+
+
+def test_a_name_is_one_line(tmp_path):
+    """Whatever ends a line: it would be a property of its own, or none of its file's."""
+    write_csv(tmp_path / "a.csv", random_stars(20, 3))
+    name = " a\nhats_nrows=5\u2028 b "
+    made = ingest([tmp_path / "a.csv"], tmp_path / "c", name=name).catalogue
+    assert made.name == "a hats_nrows=5 b"
+    assert verify(made).whole

@@ -428,6 +428,19 @@ def test_an_omm_may_count_the_days_of_the_year(tmp_path: Path, kind: str) -> Non
         parse_utc(found["epoch"])
 
 
+def test_rows_are_kept_for_other_times_that_are_asked_for(tmp_path: Path) -> None:
+    """Of a light curve beyond the exposures."""
+    true = write_csv(tmp_path / "a.csv")
+    made = scene({"kind": "ephemeris", "path": str(tmp_path / "a.csv"), "frame": "gcrs"})
+    spans = (None, (-900.0, 2400.0))
+    few, more = (gather_ephemerides(made, also).targets[0].orbit for also in spans)
+    assert len(few.rows) < len(more.rows)
+    at = np.array([-900.0, 2400.0])
+    np.testing.assert_allclose(states(more, at)[0], true(at)[0], atol=1e-2)
+    with pytest.raises(BadInput, match="one stretch of rows over all exposures, 2017-02-14T05:"):
+        gather_ephemerides(made, (-3700.0, 0.0))
+
+
 def test_observer_from_a_file_and_scenes_without(tmp_path: Path) -> None:
     bare = parse_scene(SCENE)
     assert gather_ephemerides(bare) is bare

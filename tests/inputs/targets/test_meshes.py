@@ -363,6 +363,13 @@ def test_a_polygon_whose_halves_turn_either_way_is_refused(tmp_path):
         read_mesh(write(tmp_path, prism([(0, 0), (1, 1), (1, 0), (0, 1)], 0, "obj")), "m")
 
 
+def test_a_face_that_folds_has_few_corners(tmp_path):
+    """Cut in a second, not in hours."""
+    comb = [(x, y) for x in range(600) for y in ((0, 9) if x % 2 else (9, 0))]
+    with pytest.raises(BadInput, match=r"a face that folds, of 1202 corners \(at most 1000\)"):
+        read_mesh(write(tmp_path, prism([*comb, (600, -1), (0, -1)], 0, "obj")), "m")
+
+
 def test_a_star_drawn_in_one_line_is_refused(tmp_path):
     """Which goes round twice, so that no corner of it can be cut off."""
     star = [(0, 3), (2, -2), (-3, 1), (3, 1), (-2, -2)]
@@ -547,6 +554,14 @@ def test_a_table_that_no_surface_has_is_told(tmp_path):
 def test_bad_tables_are_refused(tmp_path, name, content, word):
     with pytest.raises(BadInput, match=word):
         read_brdf_table(write(tmp_path, content, name))
+
+
+def test_a_table_whose_angles_scatter_is_refused_before_its_grid_is_made(tmp_path):
+    """Of 3,000 rows a grid of 216 GB."""
+    rows = np.random.default_rng(1).uniform(0.0, 80.0, (3000, 4))
+    np.save(tmp_path / "t.npy", rows)
+    with pytest.raises(BadInput, match="one row for each point of the grid of 3000 x 3000 x 3000"):
+        read_brdf_table(tmp_path / "t.npy")
 
 
 @pytest.mark.parametrize(("wish", "sharp"), [

@@ -1,0 +1,60 @@
+"""The fields of a search pattern: how large they are, and where they look."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.physics.constants import DEG_RAD
+from pipeline.physics.positions.earth import gcrs_to_itrs
+from pipeline.physics.positions.times import instants
+from pipeline.physics.vectors import from_angles, to_angles, unit
+from pipeline.plan.pointing.site import axes_of
+from pipeline.spec.pointing.observer import GroundObserver
+from pipeline.spec.study import SearchPattern
+from pipeline.survey.watch import Watcher, WatchMoments
+
+Array = NDArray[np.float64]
+
+RING_M = 42_164_172.0  # radius of the geostationary ring
+
+
+def field_rad(watcher: Watcher) -> tuple[float, float]:
+    """Height and width of a sensor's field [rad]."""
+    camera, ifov = watcher.resolved.camera, watcher.resolved.facts.ifov_rad
+    return 2.0 * np.arctan(camera.rows * ifov / 2), 2.0 * np.arctan(camera.columns * ifov / 2)
+
+
+def axes_of_fields(
+    watcher: Watcher, watch: WatchMoments, pattern: SearchPattern, at_deg: Array
+) -> Array:
+    """Axes (q, 3, 3: across, up, along) of fields, TEME: up is towards the pole or the zenith."""
+    at = at_deg * DEG_RAD
+    pole = np.einsum("nji,j->ni", watch.to_gcrs, np.array([0.0, 0.0, 1.0]))
+    if pattern.pattern == "fence":
+        north, east = _level(watcher, watch)
+        azimuth = pattern.azimuth_deg * DEG_RAD
+        level = np.cos(azimuth) * north + np.sin(azimuth) * east
+        along, up = np.cos(at)[:, None] * level + np.sin(at)[:, None] * watch.up, watch.up
+    elif pattern.pattern == "belt":
+        times = instants(watcher.epoch, watch.offset_s, watcher.resolved.dut1_s)
+        ring = RING_M * from_angles(at, np.zeros_like(at))
+        to_teme = np.einsum("nki,njk->nij", watch.to_gcrs, gcrs_to_itrs(times))
+        along, up = unit(np.einsum("nij,nj->ni", to_teme, ring) - watch.observer_m), pole
+    else:
+        sun = to_angles(np.einsum("nij,nj->ni", watch.to_gcrs, watch.sun_m))[0]
+        strip = from_angles(sun + np.pi + at, np.full(len(at), pattern.declination_deg * DEG_RAD))
+        along, up = np.einsum("nji,nj->ni", watch.to_gcrs, strip), pole
+    across = unit(np.cross(along, up))
+    return np.stack([across, np.cross(across, along), along], axis=1)
+
+
+def _level(watcher: Watcher, watch: WatchMoments) -> tuple[Array, Array]:
+    """North and east (q, 3), TEME: a site's own; of a satellite by TEME's axis."""
+    site = watcher.observer
+    if isinstance(site, GroundObserver):
+        times = instants(watcher.epoch, watch.offset_s, watcher.resolved.dut1_s)
+        north, east, _ = np.einsum("nji,nkj->kni", watch.to_gcrs, axes_of(site, times))
+        return north, east
+    east = unit(np.cross([0.0, 0.0, 1.0], watch.up))
+    return np.cross(watch.up, east), east
