@@ -20,6 +20,7 @@ from pipeline.execute.sources import (
 )
 from pipeline.execute.tables import swept_core
 from pipeline.lazily import arrow
+from pipeline.physics.motion.rolling import row_delay_s
 from pipeline.physics.motion.streak import Path, piece_counts, pieces
 from pipeline.physics.positions.apparent import proper_to_astrometric
 from pipeline.physics.positions.focal_plane import deproject
@@ -236,6 +237,11 @@ def target_magnitudes(plan: ResolvedScene, g: Geometry) -> tuple[Array, Array]:
     """
     light = g.target_light[:, 0]
     mean = 0.5 * (light[:, :-1] + light[:, 1:]).mean(axis=-1)
+    if plan.camera.line_s:  # their rows followed them for longer, or for less: that is no magnitude
+        y = g.target_y_px[:, 0][:, [0, -1]]
+        late_s = np.diff(row_delay_s(y, plan.camera.line_s, plan.camera.rows))[:, 0]
+        took_s = float(g.offset_s[0, -1] - g.offset_s[0, 0]) or math.inf
+        mean = mean / (1.0 + np.nan_to_num(late_s) / took_s)
     with np.errstate(divide="ignore", invalid="ignore"):
         dim = np.where(mean > 0.0, -2.5 * np.log10(mean), np.nan)
         sun_ab = -2.5 * np.log10(plan.sun_rate_e_s_m2 / plan.facts.ab_rate_e_s_m2)

@@ -14,6 +14,7 @@ from scipy.special import erf
 
 from catalog_tools.ingest.ingest import ingest
 from pipeline.errors import BadInput
+from pipeline.execute.truth import target_magnitudes
 from pipeline.physics.motion.rolling import exposed_longer, rolled, rolled_sources, row_delay_s
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry
 from pipeline.plan.pointing.star_paths import excursions_px, star_paths
@@ -144,6 +145,24 @@ def test_a_target_against_each_rows_own_exposure(tmp_path: Path) -> None:
     assert expected.max() > 100.0
     assert np.abs(ours - expected).max() < 0.02 * expected.max()
     assert np.abs(still - expected).max() > 0.1 * expected.max()
+
+
+def test_magnitudes_are_those_of_the_body_whatever_the_shutter() -> None:
+    """Rows that follow a target for longer collect more of it; it is no brighter."""
+    orbit = {
+        "kind": "orbit",
+        "orbit": {"kind": "state", "position_m": [4.2e7, -4e5, 0], "velocity_m_s": [0, 3000, 30]},
+    }
+    pointing = {"mode": "sidereal", "boresight_ra_deg": 90.03, "boresight_dec_deg": 0.02}
+    more = {"observer": orbit, "targets": [TARGET], "pointing": pointing}
+    told, light = [], []
+    for readout in (None, {"line_s": LINE_S}, {"line_s": LINE_S, "first": "high_rows"}):
+        p = prepare(scene(None, 0.0, readout, **more)).plan
+        g = plan_geometry(p.scene, np.zeros(1, np.int64), p.dut1_s)
+        told.append(np.array(target_magnitudes(p, g))[:, 0])
+        light.append(g.target_light[0, 0].mean())
+    assert abs(light[1] / light[2] - 1.0) > 0.01
+    np.testing.assert_allclose(told[1:], told[:1] * np.ones((2, 1)), atol=1e-3)
 
 
 def test_same_bits_in_every_tiling_and_truth(catalogue: str, tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ MOST_LOOKS = 1024  # in an exposure: of geometry
 MOST_LIGHT_NODES = 257  # light that asks for more is the mean around each node
 FINER, MOST_FINE = 4.0, 2**17  # so many times as often as asked, and so often at most, for its mean
 MESH_FINER, MESH_MOST_FINE = 1.0, 2**12  # a mesh's light is dear
+JUMP = 1e-3  # of a period
 CLOSE = 0.125  # of `flux_fraction`: how closely the mean of an exposure is known
 
 
@@ -112,10 +113,23 @@ def _tables(
 ) -> Iterator[tuple[Array, float | None]]:
     """Times of a body's tables, after the scene's epoch [s], and the period of each."""
     if isinstance(body, LightCurveBody):
-        yield np.array(body.times_s) - since_s(body.epoch, epoch, "body"), body.period_s
+        times = np.array(body.times_s)
+        if body.period_s is not None:
+            times = np.append(times, times[-1] + _to_next_s(body, body.period_s))
+        yield times - since_s(body.epoch, epoch, "body"), body.period_s
     for law in _laws(body):
         if isinstance(law, TableAttitude):
             yield np.array(law.times_s) - since_s(law.epoch, epoch, "body.attitude"), None
+
+
+def _to_next_s(body: LightCurveBody, period_s: float) -> float:
+    """Time from a table's last row to the first of its next period [s]; where both are at one time,
+    how closely a jump between them is looked at."""
+    apart = period_s - (body.times_s[-1] - body.times_s[0])
+    if apart > 1e-9 * period_s:
+        return apart
+    values = body.magnitudes or body.intensities_m2_sr or ()
+    return period_s * (JUMP if values[0] != values[-1] else 1.0)
 
 
 def _turns_s(body: Body | MeshBody) -> Iterator[float]:

@@ -364,3 +364,17 @@ def test_exposures_are_looked_at_no_less_often_than_is_asked(monkeypatch: Any) -
     monkeypatch.setattr(timescales, "asked_of_bodies", lambda *_: np.zeros((0, asked.size)))
     found = looks(nothing, nothing, np.zeros((0, asked.size), bool))
     assert found.tolist() == [9, 9, 17, 17, 17, 33, 1025, 1025]
+
+
+@pytest.mark.parametrize(("span_s", "jumps"), [(2.3, True), (2.2, False), (2.3, False)])
+def test_from_a_periods_last_row_to_the_first_of_the_next(span_s: float, jumps: bool) -> None:
+    """As the same curve written out, row by row: at one time a jump, else a straight line."""
+    period_s, magnitudes = 2.3, [2.0, 12.0 if jumps or span_s < 2.3 else 2.0]
+    body = {"kind": "light_curve", "times_s": [0.0, span_s], "magnitudes": magnitudes}
+    starts = period_s * np.arange(-3, 6)
+    written = np.stack([starts, starts + (span_s if span_s < period_s else period_s - 1e-4)], -1)
+    whole = body | {"times_s": written.ravel().tolist(), "magnitudes": 9 * magnitudes}
+    for took_s in (1.0, 3.0, 8.0):
+        exposed = {"exposure": {"integration_s": took_s}}
+        found = mean_light(scene(body | {"period_s": period_s}, **exposed))
+        assert found / mean_light(scene(whole, **exposed)) == pytest.approx(1.0, abs=3e-4)
