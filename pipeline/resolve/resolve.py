@@ -47,6 +47,7 @@ from pipeline.plan.sensor.rolling import check_rolling
 from pipeline.plan.sky.doubts import sky_doubts
 from pipeline.plan.stars.brightest import brightest_target_e
 from pipeline.plan.stars.field_stars import FieldStars
+from pipeline.plan.stars.field_streaks import field_streak_warnings
 from pipeline.plan.targets.decisions import mesh_notices
 from pipeline.plan.targets.orbit_age import orbit_remarks, table_warnings
 from pipeline.plan.targets.shared import shared_remarks
@@ -154,6 +155,7 @@ def resolve(asked: Scene) -> Resolved:
             *warnings,
             *_none_in_field(resolved, g, field_stars),
             *_of_sensor(resolved, maps, g.frame),
+            *field_streak_warnings(resolved, g),
             *table_warnings(scene, g, facts.ifov_rad),
             *turn_warnings(scene, g, facts.ifov_rad, gather_turn_off_rad(scene)),
         ),

@@ -16,7 +16,7 @@ from pipeline.spec.load import (
     read_format_file,
 )
 from pipeline.spec.study import Study
-from pipeline.spec.sweep_load import check_overrides
+from pipeline.spec.sweep import check_overrides
 
 FORMAT = "study", "start, sensors"
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from catalog_tools.documents import JsonObject
+from pipeline.errors import BadInput
 from pipeline.spec.strict import Strict
 
 SCHEMA = "nightglass/sweep/1"
@@ -260,3 +262,17 @@ def axis_length(axis: ListAxis | TableAxis | RangeAxis) -> int:
     if isinstance(axis, ListAxis):
         return len(axis.values)
     return len(axis.rows) if isinstance(axis, TableAxis) else axis.count or 1
+
+
+def check_overrides(
+    overrides: Iterable[str], axes: tuple[Axis, ...], of: str, at: str = ""
+) -> None:
+    """BadInput for an override of a field that an axis changes, where it would have no effect.
+
+    of : what has the axes; at : where it holds the fields
+    """
+    changed = {at + name for axis in axes for name in axis.fields}
+    for override in overrides:
+        key = override.partition("=")[0].removesuffix("+")
+        if any(f"{key}.".startswith(f"{name}.") for name in changed):
+            raise BadInput("--set", override, f"a field that no axis of the {of} changes")

@@ -18,7 +18,7 @@ from pipeline.spec.load import (
     plain_mapping,
     read_format_file,
 )
-from pipeline.spec.sweep import Axis, Sweep
+from pipeline.spec.sweep import Sweep, check_overrides
 
 FORMAT = "sweep", "scene, axes"
 OF_SCENE = "scene."
@@ -75,17 +75,3 @@ def parse_sweep(data: object, overrides: Iterable[str] = ()) -> Sweep:
         raise InvalidScene(mistakes_of(error, data)) from None
     check_overrides(overrides, sweep.axes, "sweep", OF_SCENE)
     return sweep
-
-
-def check_overrides(
-    overrides: Iterable[str], axes: tuple[Axis, ...], of: str, at: str = ""
-) -> None:
-    """BadInput for an override of a field that an axis changes, where it would have no effect.
-
-    of : what has the axes; at : where it holds the fields
-    """
-    changed = {at + name for axis in axes for name in axis.fields}
-    for override in overrides:
-        key = override.partition("=")[0].removesuffix("+")
-        if any(f"{key}.".startswith(f"{name}.") for name in changed):
-            raise BadInput("--set", override, f"a field that no axis of the {of} changes")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -303,6 +304,26 @@ def test_tables_from_files_at_their_places(catalogue, tmp_path):
         with pytest.raises(BadInput) as caught:
             prepare(scene(catalogue, field([[ROUND, psf]])))
         assert str(caught.value).startswith(name)
+
+
+def test_what_a_streak_loses_by_the_responses_of_its_middle_is_told(catalogue, tmp_path):
+    """About as much as the same exposure in 16 parts differs; nothing of still stars."""
+    streaked = scene(catalogue, field(CORNERS), 60.0)
+    parts = {"integration_s": 0.125, "frames": 16, "cadence_s": 0.125}
+    layers = []
+    for name, made in (("one", streaked), ("parts", scene(
+        catalogue, field(CORNERS), 60.0, exposure=parts, accept=["error"]
+    ))):  # fmt: skip
+        render(made, tmp_path / name, Options("synchronous"))
+        layers.append(open_cube(tmp_path / name).stars_e.values.astype(float).sum(axis=0))
+    plan = prepare(streaked).plan
+    found = np.abs(layers[0] - layers[1]) / np.sqrt(layers[1] + plan.facts.sigma_floor_e**2)
+    (told,) = [w for w in plan.warnings if "responses of their middle" in w]
+    said = float(re.search(r"([\d.e-]+) of its noise", told)[1])
+    assert 0.15 * said < found.max() < said
+    assert "streaks (up to 60 px)" in told
+    still = prepare(scene(catalogue, field(CORNERS))).plan
+    assert not [w for w in still.warnings if "responses of their middle" in w]
 
 
 def test_without_a_field_nothing_of_it_is_loaded(catalogue, tmp_path):

@@ -179,13 +179,13 @@ def _between(
     if max(len(rows_px), len(columns_px)) < 3:
         return None, None
     radius = max(b.core_px for b in blurs)
-    images = {b: _image(b, radius) for b in set(blurs)}
+    images = {b: image_of(b, radius) for b in set(blurs)}
     grid = np.array([images[b] for b in blurs])
     grid = grid.reshape(len(rows_px), len(columns_px), -1)
     return _along(rows_px, grid), _along(columns_px, grid.swapaxes(0, 1))
 
 
-def _image(blur: Blur, radius_px: float) -> Array:
+def image_of(blur: Blur, radius_px: float) -> Array:
     """Light of a pixel at SAMPLES places a pixel around the source, (n, n)."""
     core = compact_core(blur, radius_px)
     step = core.oversampling // SAMPLES
