@@ -61,8 +61,13 @@ def calibrate(product: Path, output: Path) -> JsonObject:
     check_same_images(product, scene.as_dict())
     maps = gather_sensor_maps(scene)
     partial = output.with_name(f"{output.name}.partial")
-    if partial.exists():
-        raise BadInput("-o", str(partial), "no such path: it is left of a calibration cut off")
+    try:
+        partial.mkdir(parents=True)  # by one of two that run: what is begun is removed by who began
+    except FileExistsError:
+        allowed = "no such path: it is left of a calibration cut off"
+        raise BadInput("-o", str(partial), allowed) from None
+    except OSError:
+        pass  # what makes its folders says what is wrong
     try:
         with full_disk_told(output, MAKE_ROOM):
             report = _write(product, partial, cube, scene, maps)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.physics.motion.attitude_table import table_error_rad
 from pipeline.physics.positions.times import elapsed_s, parse_utc
 from pipeline.plan.pointing.pointing import check_rows, pointing_field, quaternion_table
-from pipeline.plan.timing import DwellPlan, dwell_plans
+from pipeline.plan.timing import DwellPlan, dwell_plans, last_row_late_s
 from pipeline.spec.load import parse_scene
 from pipeline.spec.pointing.attitude import MOST_POINTS, TableJitter
 from pipeline.spec.pointing.pointing import MOST_ROWS, TablePointing
@@ -40,15 +41,28 @@ def gather_pointing(scene: Scene) -> Scene:
     if not plans and not spectra:
         return scene
     data, read = scene.as_dict(), dict[Path, JsonObject]()
+    dwells = dwell_plans(scene)
     for plan, pointing in plans:
         own = plan.dwell is not None and plan.dwell.pointing is not None
         holder = data["dwells"][plan.index] if own else data
-        span = None if own or scene.dwells is None else (0.0, dwell_plans(scene)[-1].end_s)
-        holder["pointing"] |= _table(scene, plan, pointing, span, read)
+        whole = not own and scene.dwells is not None
+        span = (0.0, dwells[-1].end_s) if whole else _asked_s(plan, dwells[plan.index + 1 :])
+        late = span[0], span[1] + last_row_late_s(scene)
+        holder["pointing"] |= _table(scene, plan, pointing, late, read)
     for i, path in spectra.items():
         name = f"pointing.attitude.jitter.{i}.path"
         data["pointing"]["attitude"]["jitter"][i] |= _spectrum(Path(path), name)
     return parse_scene(data)
+
+
+def _asked_s(plan: DwellPlan, later: Sequence[DwellPlan]) -> tuple[float, float]:
+    """The times at which a dwell's own table is asked: from the slew to it until its exposures end,
+    and while frames of the next dwell fall into the slew from it."""
+    begin = plan.start_s if plan.slew_s is None else plan.slew_s[0]
+    after = next(iter(later), None)
+    if after is None or after.slew_s is None:
+        return begin, plan.end_s
+    return begin, max(plan.end_s, min(after.slew_s[1], after.end_s))
 
 
 def _spectra(scene: Scene) -> dict[int, str]:
@@ -62,11 +76,11 @@ def _table(
     scene: Scene,
     plan: DwellPlan,
     p: TablePointing,
-    span_s: tuple[float, float] | None,
+    span_s: tuple[float, float],
     read: dict[Path, JsonObject],
 ) -> JsonObject:
     """What a pointing's table becomes: rows in the scene, and the error between them."""
-    begin, end = span_s or (plan.slew_s[0] if plan.slew_s else plan.start_s, plan.end_s)
+    begin, end = span_s
     field = pointing_field(plan, "rows" if p.path is None else "path")
     made: dict[str, object] = {}
     if p.path is not None:

@@ -254,8 +254,8 @@ def begun_tiles(path: Path) -> int:
 
 
 def begin_copy(path: Path, source: Path, layers: tuple[str, ...], scene: Scene) -> CubeWriter:
-    """Make a product directory for other layers of the same scene and tiles as `source`."""
-    _make_folders(path)
+    """Make of an empty folder a product of other layers of the same scene and tiles as `source`."""
+    _make_folders(path, exist_ok=True)
     for name in layers:
         create_layer(path, name, scene, tiles_of(source))
     for name in (layout.SCENE, layout.PLAN, layout.BEGUN):
@@ -266,9 +266,9 @@ def begin_copy(path: Path, source: Path, layers: tuple[str, ...], scene: Scene) 
     return CubeWriter(str(path.resolve()), layers, tiles_of(source), scene.output.compression)
 
 
-def _make_folders(path: Path) -> None:
+def _make_folders(path: Path, exist_ok: bool = False) -> None:
     try:
-        path.mkdir(parents=True)
+        path.mkdir(parents=True, exist_ok=exist_ok)
         for name in (layout.CUBE, layout.MARKERS, f"{layout.TRUTH}/{layout.PARTS}"):
             (path / name).mkdir(parents=True)
     except OSError as error:

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
+from pipeline.calibrate import calibrate
+from pipeline.errors import BadInput
 from pipeline.store.cube import open_cube
 from pipeline.store.layout import LONG_NAMES
 from pipeline.store.product import seal
@@ -271,3 +273,12 @@ def test_what_needs_a_full_well(tmp_path, capsys):
         data["output"] = {}
         with pytest.raises(BadInput, match=r"with sensor\.full_well_e"):
             parse_scene(data)
+
+
+def test_what_another_has_begun_stays(product, tmp_path):
+    other = tmp_path / "copy.partial" / "theirs"
+    other.parent.mkdir()
+    other.write_text("x")
+    with pytest.raises(BadInput, match="left of a calibration cut off"):
+        calibrate(product, tmp_path / "copy")
+    assert other.read_text() == "x"

@@ -139,6 +139,21 @@ def test_rows_may_begin_and_end_with_the_exposures(tmp_path: Path) -> None:
             gather_pointing(scene({"path": str(path)}))
 
 
+def test_rows_are_kept_for_whatever_asks_for_them(tmp_path: Path) -> None:
+    """The last row of a rolling shutter, and frames that fall into the slew to the next dwell."""
+    table = {"mode": "table", "frame": "gcrs", "path": str(write(tmp_path, "npy")), "scalar": "last"}
+    plain = table | {"path": None, "rows": np.column_stack([TIME, Q]).tolist()}
+    held = {"mode": "sidereal", "boresight_ra_deg": 5.0, "boresight_dec_deg": 20.0}
+    slew = {"frames": 1, "pointing": held, "slew": {"duration_s": 15.0}, "start_s": 23.0}
+    rolling = BASE["sensor"] | {"detector": {"readout": {"kind": "rolling", "line_s": 0.2}}}
+    for frames, more in ((3, {"sensor": rolling}), (4, {"dwells": [{"frames": 3}, slew]})):
+        filed, given = (
+            plan_geometry(gather_pointing(made), np.arange(frames), 0.0)
+            for made in (parse_scene(BASE | more | {"pointing": p}) for p in (table, plain))
+        )
+        np.testing.assert_allclose(filed.attitude, given.attitude, atol=1e-12)
+
+
 def test_files_that_are_no_tables(tmp_path: Path) -> None:
     for name, raw in (("a.fits", b"x"), ("a.parquet", b"x"), ("a.npy", b"x"), ("a.doc", b"x")):
         path = tmp_path / name

@@ -173,9 +173,9 @@ def _table(field: str, path: str | Path, file: Path) -> Array:
         if file.stat().st_size > LARGEST_TABLE_BYTES:
             raise BadInput(field, str(path), f"a table of at most {LARGEST_TABLE_BYTES} bytes")
         lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, ValueError) as error:
+        rows = list(csv.reader(line for line in lines if not re.match(r"\s*(#|$)", line)))
+    except (OSError, ValueError, csv.Error) as error:
         raise BadInput(field, str(path), "a readable text file") from error
-    rows = list(csv.reader(line for line in lines if not re.match(r"\s*(#|$)", line)))
     if rows and not _is_number(rows[0][0]):
         rows = rows[1:]
     for row in rows:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,7 @@ def read_image(path: Path, field: str) -> Array:
     elif path.suffix == ".npy":
         try:
             image = np.load(path, allow_pickle=False)
-        except (ValueError, OSError, EOFError) as error:
+        except (ValueError, OSError, EOFError, MemoryError, zipfile.BadZipFile) as error:
             raise BadInput(field, str(path), f"a readable .npy image; {error}") from None
     elif path.name.endswith(FITS_ENDINGS):
         image = _read_fits(path, field)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import zipfile
 from pathlib import Path
 from typing import Literal
 
@@ -74,9 +75,10 @@ def gather_stray_light(scene: Scene, request: StrayLight) -> StrayInputs:
 def read_pst(path: Path) -> tuple[Array, Array]:
     """Angles [deg] and PST (n,) of a CSV table: angle_deg, pst; a heading and # comments may be."""
     rows = _rows(path, PST)
-    table = np.array([_numbers(row, PST) for row in rows])
-    if len(table) < 2 or table.shape[1] != 2:
+    numbers = [_numbers(row, PST) for row in rows]
+    if len(numbers) < 2 or any(len(row) != 2 for row in numbers):
         raise BadInput(PST, str(path), "at least two rows of two numbers: angle_deg, pst")
+    table = np.array(numbers)
     angle, value = table.T
     wrong = np.flatnonzero(~np.isfinite(table).all(axis=1) | (angle <= 0) | (angle > 180))
     if len(wrong):
@@ -117,7 +119,7 @@ def read_albedo(path: Path) -> Array:
 def _npy(path: Path) -> Array:
     try:
         table = np.load(path, allow_pickle=False)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, EOFError, MemoryError, zipfile.BadZipFile) as error:
         raise BadInput(ALBEDO, str(path), f"a readable NPY file; {error}") from None
     if table.ndim != 2 or table.dtype.kind not in "fiu":
         raise BadInput(ALBEDO, str(path), "a two-dimensional array of numbers")

@@ -268,8 +268,13 @@ def _narrow(table: Ephemeris, i: int, edge: tuple[Array, Array]) -> None:
 
 def _csv(text: str, path: Path, frame: str, epoch: str, field: str) -> Ephemeris:
     reader = csv.reader(io.StringIO(text))
-    names = [name.strip().lower() for name in next(reader)]
-    lines = [row for row in reader if row and not row[0].lstrip().startswith("#")]
+    try:
+        names = [name.strip().lower() for name in next(reader)]
+        lines = [row for row in reader if row and not row[0].lstrip().startswith("#")]
+    except csv.Error as error:
+        raise BadInput(field, path.name, f"a readable table; {error}") from None
+    if not lines:
+        raise BadInput(field, path.name, "at least one row below its columns' names")
     for i, row in enumerate(lines, 1):
         if len(row) != len(names):
             raise BadInput(field, f"row {i} of {path.name}", f"{len(names)} values")

@@ -60,12 +60,12 @@ def earthshine_share(lamps: Sequence[Target], g: Geometry) -> float:
 def two_body_m(targets: Sequence[Target], scene: Scene, g: Geometry) -> float:
     """How far two-body motion may be off in a scene, by all forces but drag [m]."""
     seen_m = geocentric_m(g).min(axis=1)
-    span_s = 0.0, end_s(scene)
+    span_s, names = (0.0, end_s(scene)), {t.name for t in targets}
     return max(
         (
             two_body_off_m(scene, t.orbit, *span_s, float(seen_m[i]))
             for i, t in enumerate(scene.targets)
-            if t in targets
+            if t.name in names
         ),
         default=0.0,
     )

@@ -197,6 +197,7 @@ def test_a_curve_reaches_to_the_far_side_of_the_earth(scene, tmp_path, end_deg, 
     ("text", "said"),
     [
         ("angle_deg,pst\n1,1e-4\n3,\n10,1e-6\n", "no gaps"),
+        ("angle_deg,pst\n1,1e-4\n3,1e-5,5\n10,1e-6\n", "two numbers"),
         ("1,1e-4\n3,nan\n", "no gaps"),
         ("1,1e-4\n10,1e-5\n5,1e-6\n", "ascending"),
         ("1,1e-4\n1,1e-5\n", "ascending"),

@@ -231,6 +231,17 @@ def test_more_objects_in_the_field_than_may_be_are_refused(
     assert f"at most {many - 1}: a smaller field, a shorter dwell" in str(told.value)
 
 
+def test_the_history_of_an_object_is_one_object(
+    tle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of its sets one counts, however many come into the field."""
+    wanted = kept(scene(tle))
+    history = tmp_path / "history.tle"
+    history.write_text(tle.read_text() * 7)
+    monkeypatch.setattr("pipeline.plan.targets.populations.MOST_TARGETS", len(wanted))
+    assert kept(scene(history)) == wanted
+
+
 @pytest.mark.parametrize("number", ["inf", "nan", "1e30", "-5", "5.5", "T0001"])
 def test_a_catalogue_number_that_cannot_be_is_told(
     number: str, lines: list[list[str]], tmp_path: Path
