@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject
-from pipeline.capacity.fields import axes_of_fields
+from pipeline.capacity.fields import Round, axes_of_fields, round_of
 from pipeline.errors import BadInput
 from pipeline.physics.constants import DAY_S
 from pipeline.physics.detection import snr_of, threshold_sigma
@@ -41,6 +41,8 @@ STEPS, BATCH = 360, 1024  # of a window; objects of a task
 MOST_CPU_S = 24 * 3600.0
 STATE_CPU_S, PAIR_CPU_S, TASK_CPU_S = 0.8e-6, 0.05e-6, 0.05  # of this machine, with room
 SKY_CPU_S = 0.03  # of a table of the sky
+DWELL_CPU_S, DWELL_BYTES, MOST_DWELLS = 0.2e-3, 350, 300_000  # of a search; in a window
+KEPT_SENSORS = 16  # of which the dwells of a window are held
 STRAY_CPU_S, STRAY_PAIR_CPU_S = 1.5e-3, 4e-6  # of stray light: a step of a batch, and of an object
 CAMERA_KEYS = ("sensor", "exposure", "background")
 LOOKS, LOOK_STEPS = 500, 200  # directions and moments at which a field of regard is tried
@@ -117,6 +119,9 @@ class StudyCourse:
         cpu_s += sum(SKY_CPU_S * self.hours * 3600.0 / sky.step_s for sky in skies)
         stray_s = self.steps * self.batches * STRAY_CPU_S + states * STRAY_PAIR_CPU_S
         cpu_s += stray_s * sum(sky.stray is not None for sky in skies)
+        dwells_s = [one.dwells_s for one in self.rounds]
+        cpu_s += DWELL_CPU_S * sum(dwells_s) * self.hours * 3600.0
+        kept = sum(sorted(dwells_s)[-KEPT_SENSORS:]) * STEPS * self.study.step_s
         return {
             "objects": len(self.elements),
             "sensors": len(self.units),
@@ -124,8 +129,27 @@ class StudyCourse:
             "steps": self.steps,
             "tasks": tasks,
             "cpu_s": cpu_s + TASK_CPU_S * tasks * len(self.watchers),
-            "worker_memory_mb": 250.0 + rows * 250 / 1e6,
+            "worker_memory_mb": 250.0 + (rows * 250 + kept * DWELL_BYTES) / 1e6,
         }
+
+    @cached_property
+    def rounds(self) -> list[Round]:
+        """How each single sensor goes through the fields of a search; none where it is cued.
+
+        BadInput for more dwells in a window than may be held.
+        """
+        pattern, out = self.study.tasking, []
+        if not isinstance(pattern, SearchPattern):
+            return []
+        for j in self.units:
+            one = round_of(self.watchers[j], pattern, self.study.sensors[j].slewing)
+            dwells = one.dwells_s * STEPS * self.study.step_s
+            if dwells > MOST_DWELLS:
+                told = f"{dwells:.2g} dwells of {self.watchers[j].name} in {STEPS} steps"
+                allowed = f"at most {MOST_DWELLS}: a shorter step_s, or longer dwells"
+                raise BadInput("step_s", told, allowed)
+            out.append(one)
+        return out
 
 
 @lru_cache(maxsize=2)

@@ -2,21 +2,74 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.positions.earth import gcrs_to_itrs
 from pipeline.physics.positions.times import instants
-from pipeline.physics.vectors import from_angles, to_angles, unit
+from pipeline.physics.vectors import from_angles, separation, to_angles, unit
 from pipeline.plan.pointing.site import axes_of
 from pipeline.spec.pointing.observer import GroundObserver
-from pipeline.spec.study import SearchPattern
+from pipeline.spec.study import SearchPattern, Slewing
 from pipeline.survey.watch import Watcher, WatchMoments
 
 Array = NDArray[np.float64]
 
 RING_M = 42_164_172.0  # radius of the geostationary ring
+RING_PLACES = 721  # at which its distance is looked at
+
+
+@dataclass(frozen=True)
+class Round:
+    """How a sensor goes through the fields of a search, again and again.
+
+    at_deg : (n,) where they are along the pattern; each_s : from one to the next, with the slew,
+    its settling and the dwell; back_s : what the way back to the first takes longer
+    """
+
+    at_deg: Array
+    each_s: float
+    back_s: float
+
+    @property
+    def fields(self) -> int:
+        return len(self.at_deg)
+
+    @property
+    def dwells_s(self) -> float:
+        """Dwells in a second."""
+        return self.fields / (self.fields * self.each_s + self.back_s)
+
+
+def round_of(watcher: Watcher, pattern: SearchPattern, slew: Slewing) -> Round:
+    """The round of one sensor: fields as near to each other as its overlap asks for."""
+    height, width = field_rad(watcher)
+    stride = min(height, width) * (1.0 - pattern.overlap)
+    span_deg = pattern.to_deg - pattern.from_deg
+    seen = span_deg * DEG_RAD * _seen_share(watcher, pattern, height)
+    count = max(1, int(np.ceil(seen / stride)))
+    step, rate = seen / count if count > 1 else 0.0, slew.rate_deg_s * DEG_RAD
+    at_deg = pattern.from_deg + (np.arange(count) + 0.5) * span_deg / count
+    ends = axes_of_fields(watcher, watcher.watch(np.zeros(2)), pattern, at_deg[[0, -1]])[:, 2]
+    back_s = max(0.0, float(separation(*ends)) - step) / rate
+    return Round(at_deg, step / rate + slew.settle_s + watcher.dwell_s, back_s)
+
+
+def _seen_share(watcher: Watcher, pattern: SearchPattern, height: float) -> float:
+    """Angle that the sensor sees between fields, over that of the pattern's own, where it is
+    largest: on a strip at the side of its fields (of this height [rad]) next to the equator, on the
+    ring at what is nearest at the start."""
+    if pattern.pattern == "fence":
+        return 1.0
+    if pattern.pattern == "strip":
+        side = abs(pattern.declination_deg) * DEG_RAD - 0.5 * height
+        return float(np.cos(max(0.0, side)))
+    at_deg, step_deg = np.linspace(pattern.from_deg, pattern.to_deg, RING_PLACES, retstep=True)
+    along = axes_of_fields(watcher, watcher.watch(np.zeros(RING_PLACES)), pattern, at_deg)[:, 2]
+    return float(separation(along[1:], along[:-1]).max() / (step_deg * DEG_RAD))
 
 
 def field_rad(watcher: Watcher) -> tuple[float, float]:

@@ -10,19 +10,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pipeline.capacity.course import StudyCourse, moments
-from pipeline.capacity.fields import axes_of_fields, field_rad
-from pipeline.physics.constants import DEG_RAD
-from pipeline.physics.vectors import separation
+from pipeline.capacity.course import KEPT_SENSORS, StudyCourse, moments
+from pipeline.capacity.fields import axes_of_fields, field_rad, round_of
 from pipeline.spec.study import SearchPattern
 from pipeline.survey.elements import Elements
 from pipeline.survey.sights import Sights, sights_of
-from pipeline.survey.watch import Watcher, WatchMoments
+from pipeline.survey.watch import WatchMoments
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-RING_PLACES = 721  # at which its distance is looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,45 +35,22 @@ class Slots:
     frame_s: Array
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=KEPT_SENSORS)
 def slots_of(course: StudyCourse, window: int, unit_: int) -> Slots:
     """The slots of a single sensor (number among all) in a window."""
     j = int(course.units[unit_])
     watcher, sensor, pattern = course.watchers[j], course.study.sensors[j], course.study.tasking
     assert isinstance(pattern, SearchPattern)
-    height, width = field_rad(watcher)
-    stride = min(height, width) * (1.0 - pattern.overlap)
-    span_deg = pattern.to_deg - pattern.from_deg
-    seen = span_deg * DEG_RAD * _seen_share(watcher, pattern, height)
-    count = max(1, int(np.ceil(seen / stride)))
-    slew = sensor.slewing  # from one to the next, and back by all of them
-    step = seen / count if count > 1 else 0.0
-    each = step / (slew.rate_deg_s * DEG_RAD) + slew.settle_s + watcher.dwell_s
-    at_deg = pattern.from_deg + (np.arange(count) + 0.5) * span_deg / count
-    ends = axes_of_fields(watcher, watcher.watch(np.zeros(2)), pattern, at_deg[[0, -1]])[:, 2]
-    more = max(0.0, float(separation(*ends)) - step) / (slew.rate_deg_s * DEG_RAD)
+    search = round_of(watcher, pattern, sensor.slewing)
+    count = search.fields
     first = (unit_ - int(np.searchsorted(course.units, j))) * count // sensor.count
     start, *_, end = course.offsets_s(window)
-    number, middle_s = _times(start, end, count, first, each, more)
+    number, middle_s = _times(start, end, count, first, search.each_s, search.back_s)
     watch = watcher.watch(middle_s)
-    at_deg = at_deg[number % count]
+    at_deg = search.at_deg[number % count]
     e = watcher.resolved.scene.exposure
     frames = np.asarray((np.arange(e.frames) - 0.5 * (e.frames - 1)) * e.step_s, float)
     return Slots(watch, axes_of_fields(watcher, watch, pattern, at_deg), frames)
-
-
-def _seen_share(watcher: Watcher, pattern: SearchPattern, height: float) -> float:
-    """Angle that the sensor sees between fields, over that of the pattern's own, where it is
-    largest: on a strip at the side of its fields (of this height [rad]) next to the equator, on the
-    ring at what is nearest at the start."""
-    if pattern.pattern == "fence":
-        return 1.0
-    if pattern.pattern == "strip":
-        side = abs(pattern.declination_deg) * DEG_RAD - 0.5 * height
-        return float(np.cos(max(0.0, side)))
-    at_deg, step_deg = np.linspace(pattern.from_deg, pattern.to_deg, RING_PLACES, retstep=True)
-    along = axes_of_fields(watcher, watcher.watch(np.zeros(RING_PLACES)), pattern, at_deg)[:, 2]
-    return float(separation(along[1:], along[:-1]).max() / (step_deg * DEG_RAD))
 
 
 def _times(

@@ -113,6 +113,22 @@ def test_a_slew_is_as_long_as_the_fields_are_apart(course: Any) -> None:
         assert np.degrees(turned).max() < apart_deg + 0.1  # the sky turns
 
 
+def test_the_dwells_of_a_search_are_forecast_and_few_enough(
+    course: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = course(pattern="fence", from_deg=30.0, to_deg=31.0, azimuth_deg=110.0)
+    dwells = sum(len(slots_of(made, window, unit).watch.offset_s)
+                 for window in range(made.windows) for unit in range(3))  # fmt: skip
+    seconds = sum(one.dwells_s for one in made.rounds[:3]) * made.hours * 3600.0
+    assert dwells == pytest.approx(seconds, rel=0.01)
+    monkeypatch.setattr("pipeline.capacity.course.DWELL_CPU_S", 1.0)
+    assert made.forecast["cpu_s"] > dwells
+    monkeypatch.setattr("pipeline.capacity.course.MOST_DWELLS", 100)
+    again = course(pattern="fence", from_deg=30.0, to_deg=31.0, azimuth_deg=110.0)
+    with pytest.raises(BadInput, match=r"step_s: .*dwells of one in 360 steps.* at most 100"):
+        _ = again.forecast
+
+
 @pytest.mark.parametrize(
     "search", [{"pattern": "fence", "from_deg": 5.0, "to_deg": 15.0, "azimuth_deg": 90.0},
                {"pattern": "belt", "from_deg": 0.0, "to_deg": 30.0}],

@@ -141,7 +141,8 @@ def test_rows_may_begin_and_end_with_the_exposures(tmp_path: Path) -> None:
 
 def test_rows_are_kept_for_whatever_asks_for_them(tmp_path: Path) -> None:
     """The last row of a rolling shutter, and frames that fall into the slew to the next dwell."""
-    table = {"mode": "table", "frame": "gcrs", "path": str(write(tmp_path, "npy")), "scalar": "last"}
+    table = {"mode": "table", "frame": "gcrs", "scalar": "last"}
+    table["path"] = str(write(tmp_path, "npy"))
     plain = table | {"path": None, "rows": np.column_stack([TIME, Q]).tolist()}
     held = {"mode": "sidereal", "boresight_ra_deg": 5.0, "boresight_dec_deg": 20.0}
     slew = {"frames": 1, "pointing": held, "slew": {"duration_s": 15.0}, "start_s": 23.0}
