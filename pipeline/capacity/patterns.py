@@ -21,7 +21,6 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-
 @dataclass(frozen=True, eq=False)
 class Slots:
     """The dwells of one single sensor in a window, in order.

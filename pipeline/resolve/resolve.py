@@ -154,8 +154,7 @@ def resolve(asked: Scene) -> Resolved:
             *doubts.warnings,
             *warnings,
             *_none_in_field(resolved, g, field_stars),
-            *_of_sensor(resolved, maps, g.frame),
-            *field_streak_warnings(resolved, g),
+            *_of_sensor(resolved, maps, g),
             *table_warnings(scene, g, facts.ifov_rad),
             *turn_warnings(scene, g, facts.ifov_rad, gather_turn_off_rad(scene)),
         ),
@@ -179,10 +178,10 @@ def resolve(asked: Scene) -> Resolved:
     )
 
 
-def _of_sensor(resolved: ResolvedScene, maps: SensorMaps, sampled: NDArray[np.int64]) -> list[str]:
+def _of_sensor(resolved: ResolvedScene, maps: SensorMaps, g: Geometry) -> list[str]:
     """The warnings on the sensor's terms, and on the pixels that they drive to an end."""
-    told = _filled(resolved, maps, sampled), _cut_off(resolved), unit_warnings(resolved.scene)
-    return [warning for each in told for warning in each]
+    told = _filled(resolved, maps, g.frame), _cut_off(resolved), unit_warnings(resolved.scene)
+    return [*(warning for each in told for warning in each), *field_streak_warnings(resolved, g)]
 
 
 def _filled(resolved: ResolvedScene, maps: SensorMaps, sampled: NDArray[np.int64]) -> list[str]:

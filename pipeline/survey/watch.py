@@ -36,7 +36,7 @@ from pipeline.resolve.resolve import resolve
 from pipeline.spec.load import parse_scene
 from pipeline.spec.pointing.observer import GroundObserver, OrbitObserver
 from pipeline.spec.pointing.pointing import Pointing, SiderealPointing
-from pipeline.spec.scene import Scene
+from pipeline.spec.scene import Background, Scene
 from pipeline.spec.sensor.detector import TimeDelay
 from pipeline.spec.study import FieldOfRegard
 from pipeline.survey.signal import SignalTable, signal_table
@@ -309,6 +309,13 @@ class WatchMoments:
         return self.motion_m_s / SPEED_OF_LIGHT_M_S
 
 
+def _without(background: Background, names: tuple[str, ...]) -> Background | None:
+    """A background without some of its parts; None where nothing is left of it."""
+    kept = background.model_copy(update=dict.fromkeys(names))
+    uniform = (kept.uniform_mag_arcsec2, kept.uniform_e_per_s)
+    return kept if kept.varies or any(v is not None for v in uniform) else None
+
+
 def _is_near_sun(scene: Scene, pointing: SiderealPointing) -> bool:
     """Whether the field of a pointing is so near to the Sun, at the epoch, that zodiacal light is
     not known there: it is told direction by direction where a sensor looks."""
@@ -352,9 +359,7 @@ def make_watcher(
     steady = None
     if scene.background is not None:
         near_sun = ("zodiacal",) if _is_near_sun(read, up["pointing"]) else ()
-        kept = scene.background.model_copy(update=dict.fromkeys((*CHANGING, *near_sun)))
-        uniform = (kept.uniform_mag_arcsec2, kept.uniform_e_per_s)
-        steady = kept if kept.varies or any(v is not None for v in uniform) else None
+        steady = _without(scene.background, (*CHANGING, *near_sun))
     resolved = resolve(scene.model_copy(update=up | {"background": steady})).scene
     sky = sky_behind(read.model_copy(update=up), resolved) if scene.background else None
     name = str(sections.get("name", field))

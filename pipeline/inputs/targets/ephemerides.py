@@ -93,22 +93,27 @@ class _Reader:
             self._files[key] = read()
         return self._files[key]
 
-    def _rows(self, segments: list[Ephemeris], field: str, path: Path) -> JsonObject:
-        """Rows of the segment that covers the exposures, in GCRS, after the scene's epoch."""
+    def _covering(self, segments: list[Ephemeris], field: str, path: Path) -> Ephemeris:
+        """The first segment that covers all times asked for."""
         begin_s, stop_s = self._span_s
         spans = [elapsed_s(self._epoch, *s.useable) for s in segments]
         fits = [k for k, (a, b) in enumerate(spans) if a <= begin_s and b >= stop_s]
-        if not fits:
-            shown = "; ".join(f"{_utc(s, 0)} to {_utc(s, 1)}" for s in segments[:4])
-            ends = instants(self._epoch, [begin_s, stop_s])
-            since, until = (format_utc(*of) for of in zip(ends.utc1, ends.utc2, strict=True))
-            raise BadInput(
-                f"{field}.path",
-                f"{path.name} covering {shown}",
-                f"one stretch of rows over all exposures, {since} to {until}, and the light's way "
-                "before",
-            )
-        table = segments[fits[0]]
+        if fits:
+            return segments[fits[0]]
+        shown = "; ".join(f"{_utc(s, 0)} to {_utc(s, 1)}" for s in segments[:4])
+        ends = instants(self._epoch, [begin_s, stop_s])
+        since, until = (format_utc(*of) for of in zip(ends.utc1, ends.utc2, strict=True))
+        raise BadInput(
+            f"{field}.path",
+            f"{path.name} covering {shown}",
+            f"one stretch of rows over all exposures, {since} to {until}, and the light's way "
+            "before",
+        )
+
+    def _rows(self, segments: list[Ephemeris], field: str, path: Path) -> JsonObject:
+        """Rows of the segment that covers the exposures, in GCRS, after the scene's epoch."""
+        begin_s, stop_s = self._span_s
+        table = self._covering(segments, field, path)
         seconds = self._seconds(table)
         first = max(int(np.searchsorted(seconds, begin_s - LIGHT_MARGIN_S)) - SPARE_ROWS, 0)
         last = int(np.searchsorted(seconds, stop_s)) + SPARE_ROWS

@@ -267,17 +267,7 @@ def _narrow(table: Ephemeris, i: int, edge: tuple[Array, Array]) -> None:
 
 
 def _csv(text: str, path: Path, frame: str, epoch: str, field: str) -> Ephemeris:
-    reader = csv.reader(io.StringIO(text))
-    try:
-        names = [name.strip().lower() for name in next(reader)]
-        lines = [row for row in reader if row and not row[0].lstrip().startswith("#")]
-    except csv.Error as error:
-        raise BadInput(field, path.name, f"a readable table; {error}") from None
-    if not lines:
-        raise BadInput(field, path.name, "at least one row below its columns' names")
-    for i, row in enumerate(lines, 1):
-        if len(row) != len(names):
-            raise BadInput(field, f"row {i} of {path.name}", f"{len(names)} values")
+    names, *lines = _csv_rows(text, path, field)
     column = {name: values for name, *values in zip(names, *lines, strict=True)}
     parts = [_triple(column, "{}_m", "{}_km", "xyz", path, field)]
     if any(map(re.compile("v[xyz]_").match, names)):
@@ -287,6 +277,22 @@ def _csv(text: str, path: Path, frame: str, epoch: str, field: str) -> Ephemeris
         raise BadInput(field, f"{len(times)} time columns in {path.name}", "one: time_utc, time_s")
     utc = _csv_times(times[0], column[times[0]], path, epoch, field)
     return _table(path.stem, frame, utc, np.hstack(parts), (path, field))
+
+
+def _csv_rows(text: str, path: Path, field: str) -> list[list[str]]:
+    """The names of a table's columns, and its rows, one at least and each as long."""
+    try:
+        head, *rows = list(csv.reader(io.StringIO(text))) or [[]]
+    except csv.Error as error:
+        raise BadInput(field, path.name, f"a readable table; {error}") from None
+    names = [name.strip().lower() for name in head]
+    lines = [row for row in rows if row and not row[0].lstrip().startswith("#")]
+    if not lines:
+        raise BadInput(field, path.name, "at least one row below its columns' names")
+    for i, row in enumerate(lines, 1):
+        if len(row) != len(names):
+            raise BadInput(field, f"row {i} of {path.name}", f"{len(names)} values")
+    return [names, *lines]
 
 
 def _csv_times(

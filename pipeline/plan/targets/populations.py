@@ -204,9 +204,12 @@ class Sieve:
         self.ages_s.append(age[usable])
         for i in inside:
             self.kept.append((int(index[i]), self._target(*rows[i])))
-        if len(self.kept) <= MOST_TARGETS:
-            return
-        counts = nearest_sets(*self.sets)  # what does not count so far never will
+        if len(self.kept) > MOST_TARGETS:
+            self._drop_superseded()
+
+    def _drop_superseded(self) -> None:
+        """Hold what counts so far; BadInput for more objects than may be."""
+        counts = nearest_sets(*self.sets)  # what does not count now never will
         self.kept = [(k, target) for k, target in self.kept if counts[k]]
         if len(self.kept) > MOST_TARGETS:
             raise BadInput(
