@@ -46,9 +46,10 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
     """Columns of truth/stars.parquet for one frame; `stars` in `truth_order`.
 
     x_px, y_px at mid-exposure (pixel (0, 0) is the centre of the first), start and end of its own
-    path, x_light_px, y_light_px the centroid of the light as drawn, ra/dec astrometric (what the
-    WCS gives), electrons that pixels collect (`collected_e`), matched-filter SNR of the isolated
-    source; catalogue is 0 for the main one, then counts the layers.
+    path, x_light_px, y_light_px the centroid of its light (without what an uneven response moves
+    all light by), ra/dec astrometric (what the WCS gives), electrons that pixels collect
+    (`collected_e`), matched-filter SNR of the isolated source; catalogue is 0 for the main one,
+    then counts the layers.
     """
     paths = streaks(plan, g)
     zones = zone_of(plan, stars.x_px, stars.y_px)
