@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 from pathlib import Path
 from typing import Any
@@ -254,3 +255,18 @@ def test_the_earth_in_between() -> None:
 def test_mistakes(name, times, message) -> None:
     with pytest.raises(BadInput, match=message):
         light_curve(parse_scene(SCENE), name, BAND, *times)
+
+
+def test_earthshine_is_the_same_however_many_moments_are_lit_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """All of them took 110 kB each."""
+    lit = copy.deepcopy(SCENE)
+    for target in lit["targets"]:
+        target["lighting"] = {"earthshine_albedo": 0.3}
+    whole = light_curve(parse_scene(lit), "tube", BAND, points=40)
+    monkeypatch.setattr("pipeline.plan.bodies.bodies.TOGETHER", 7)
+    cut = light_curve(parse_scene(lit), "tube", BAND, points=40)
+    np.testing.assert_array_equal(cut.irradiance_e_s_m2, whole.irradiance_e_s_m2)
+    plain = light_curve(parse_scene(SCENE), "tube", BAND, points=40)
+    assert (whole.irradiance_e_s_m2 > plain.irradiance_e_s_m2).any()

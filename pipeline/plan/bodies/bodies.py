@@ -29,6 +29,8 @@ from pipeline.spec.targets.mesh import MeshBody
 
 Array = NDArray[np.float64]
 
+TOGETHER = 1000  # moments that are lit by all of the Earth's lamps at once: 110 MB
+
 
 def target_lights(
     targets: Sequence[Target],
@@ -155,8 +157,19 @@ def earthshine_m2_sr(
 
         rest = np.zeros(view.time_s.shape[1]) if besides_m2_sr is None else besides_m2_sr
         return mesh_earthshine_m2_sr(body, epoch, view, albedo, rest, field, frames)
-    place = view.place_m[0]
-    directions, light = earth_lamps(place, view.sun_m[0], albedo)
+    out = np.zeros(view.time_s.shape[1])
+    for first in range(0, len(out), TOGETHER):
+        part = slice(first, first + TOGETHER)
+        some = View(*(getattr(view, name)[:, part] for name in view.__dataclass_fields__))
+        out[part] = _shapes_by_earth_m2_sr(body, epoch, some, albedo, field)
+    return out
+
+
+def _shapes_by_earth_m2_sr(
+    body: Body, epoch: tuple[float, float], view: View, albedo: float, field: str
+) -> Array:
+    """The same of shapes, at moments that fit into memory together with all lamps."""
+    directions, light = earth_lamps(view.place_m[0], view.sun_m[0], albedo)
     n, k = light.shape
     towards = directions.reshape(1, -1, 3)
 
