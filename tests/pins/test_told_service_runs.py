@@ -33,6 +33,7 @@ from catalog_tools.catalogue import MANIFEST_NAME
 from catalog_tools.engine.code import code_digest
 from catalog_tools.storage.durable import file_digest
 from pipeline.errors import BadInput, Damaged
+from pipeline.spec.sweep import ListAxis
 from service import app as app_module
 from service import fetching, main, problems
 from service.accounts import oidc
@@ -1033,7 +1034,8 @@ def _workers_told(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> list[s
         "stars.catalogue",
         "stars",
     ):
-        lines.append(told(sweeps._check_axis, 2, {"field": field, "values": [1]})[:150])
+        axis = ListAxis(field=field, values=(1,))
+        lines.append(told(sweeps._check_axis, 2, axis)[:150])
     return [*lines, told(sweeps.accept_sweep, {}, settings)]
 
 
