@@ -41,18 +41,25 @@ def read_distortion(path: Path) -> JsonObject:
     """
     if not path.is_file():
         raise BadInput(FIELD, str(path), "an existing FITS file, or a FITS header as text")
-    for header in _headers(path):
-        is_tpv = _is_tpv(header)
-        if not is_tpv and not {"A_ORDER", "B_ORDER"}.intersection(header):
-            continue
-        if any(k.startswith(("CPDIS", "CQDIS")) for k in header):
-            raise BadInput(FIELD, str(path), "a WCS without lookup tables (CPDIS, CQDIS)")
-        try:
-            reference = [float(header.get(name, 0.0)) - 1.0 for name in ("CRPIX1", "CRPIX2")]
-            return _tpv(header, reference) if is_tpv else _sip(header, path, reference)
-        except (TypeError, ValueError, KeyError) as error:
-            raise BadInput(FIELD, str(path), f"a WCS with numbers in its cards; {error}") from None
+    try:
+        for header in _headers(path):
+            found = _terms(header, path)
+            if found is not None:
+                return found
+    except (TypeError, ValueError, KeyError, fits().VerifyError) as error:
+        raise BadInput(FIELD, str(path), f"a WCS with numbers in its cards; {error}") from None
     raise BadInput(FIELD, str(path), "a file with a SIP (A_ORDER, B_ORDER) or TPV distortion")
+
+
+def _terms(header: Header, path: Path) -> JsonObject | None:
+    """The distortion of one header; None where it has none."""
+    is_tpv = _is_tpv(header)
+    if not is_tpv and not {"A_ORDER", "B_ORDER"}.intersection(header):
+        return None
+    if any(k.startswith(("CPDIS", "CQDIS")) for k in header):
+        raise BadInput(FIELD, str(path), "a WCS without lookup tables (CPDIS, CQDIS)")
+    reference = [float(header.get(name, 0.0)) - 1.0 for name in ("CRPIX1", "CRPIX2")]
+    return _tpv(header, reference) if is_tpv else _sip(header, path, reference)
 
 
 def _is_tpv(header: Header) -> bool:

@@ -193,6 +193,8 @@ def _codev(path: Path, text: str) -> PsfTable:
     lines = text.splitlines(keepends=True)
     at = next(i for i, line in enumerate(lines) if re.match(r"\s*GRD\s", line, re.I))
     words = lines[at].upper().split()
+    if len(words) < 3 or not (words[1].isdecimal() and words[2].isdecimal()):
+        raise BadInput(FIELD, lines[at].strip()[:60], "GRD and two whole numbers")
     columns, rows = int(words[1]), int(words[2])
     if "FIL" not in words:
         raise BadInput(FIELD, lines[at].strip()[:60], "a grid of intensities (FIL)")

@@ -184,7 +184,10 @@ def _sp3(text: str, path: Path, field: str) -> dict[str, list[Ephemeris]]:
 def _sp3_line(line: str, dates: list[list[float]], rows: dict[str, dict[int, list[float]]]) -> None:
     """Put what a line says to the dates, or to an object's rows by the number of their date."""
     if line.startswith("* "):
-        dates.append([float(x) for x in line[1:].split()[:6]])
+        date = [float(x) for x in line[1:].split()[:6]]
+        if len(date) < 6:
+            raise ValueError("an epoch of six")
+        dates.append(date)
     elif not dates:
         return
     elif line[:1] == "P":

@@ -300,6 +300,8 @@ def _pieces(trimesh: Any, scene: Any, kind: str) -> Iterator[tuple[Array, str, s
         faces = np.asarray(mesh.faces)
         if kind == "ply" and (cut := filled(points, _polygons(mesh))) is not None:
             faces = cut
+        if faces.ndim != 2 or faces.shape[1] != 3:
+            raise ValueError("faces of fewer than three corners")
         if np.linalg.det(turn[:3, :3]) < 0.0:
             faces = faces[:, ::-1]
         material = str(getattr(getattr(mesh.visual, "material", None), "name", None) or "")

@@ -102,12 +102,16 @@ def test_cdelt_and_scamp(tmp_path):
         (SIP | {"A_2_0": "much"}, "numbers"),
         (SIP | {"CPDIS1": "LOOKUP"}, "lookup"),
         (TPV | {"PV1_4": 1e200}, "less than or equal"),
+        (lambda content: content.replace(b"A_ORDER =  ", b"A_ORDER =x "), "numbers"),
     ],
 )
 def test_limits_refused(content, told, tmp_path):
     path = tmp_path / "lens.fits"
     if isinstance(content, bytes):
         path.write_bytes(content)
+    elif callable(content):
+        write(path, SIP)
+        path.write_bytes(content(path.read_bytes()))
     elif content:
         write(path, content)
     with pytest.raises(BadInput, match=r"sensor\.distortion") as caught:

@@ -217,6 +217,7 @@ def test_spacing_is_given_once(tmp_path: Path) -> None:
         (lambda t: "hello", "OpticStudio"),
         (lambda t: "", "OpticStudio"),
         (lambda t: t[: len(t) // 2], "64 values"),
+        (lambda t: "a grid\nGRD 1E400 3 FIL WVL 0.5 SSZ 9\nGRD 3 3 FIL\n", "two whole numbers"),
     ],
 )
 def test_broken_listings_are_refused(tmp_path: Path, change: Any, what: str) -> None:

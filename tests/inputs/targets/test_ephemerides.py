@@ -478,6 +478,9 @@ def test_observer_from_a_file_and_scenes_without(tmp_path: Path) -> None:
          "2017-02-14T06:00:00 1 2 3\n", {}, "REF_FRAME"),
         ("a.oem", HEAD + "REF_FRAME = GCRF\nTIME_SYSTEM = MRT\nMETA_STOP\n"
          "2017-02-14T06:00:00 1 2 3\n", {}, "time scale"),
+        ("a.sp3", "#cP2017\n*  2017  2 14  0\n", {}, "SP3 numbers; an epoch of six"),
+        ("a.csv", "time_s,x_m,y_m,z_m\n", {"frame": "gcrs"}, "at least one row"),
+        ("a.csv", 'time_s,x_m,y_m,z_m\n"' + 140_000 * "1,", {"frame": "gcrs"}, "a readable table"),
     ],
 )  # fmt: skip
 def test_limits_damaged_tables(

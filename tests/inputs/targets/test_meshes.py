@@ -363,6 +363,12 @@ def test_a_polygon_whose_halves_turn_either_way_is_refused(tmp_path):
         read_mesh(write(tmp_path, prism([(0, 0), (1, 1), (1, 0), (0, 1)], 0, "obj")), "m")
 
 
+def test_a_face_of_two_corners_is_refused(tmp_path):
+    content = b"v 0 0 0\nv 1 0 0\nv 0 1 0\no a\nf 1 2 3\no b\nf 1 2\n"
+    with pytest.raises(BadInput, match=r"body\.path"):
+        read_mesh(write(tmp_path, content, "a.obj"), "m")
+
+
 def test_a_face_that_folds_has_few_corners(tmp_path):
     """Cut in a second, not in hours."""
     comb = [(x, y) for x in range(600) for y in ((0, 9) if x % 2 else (9, 0))]
