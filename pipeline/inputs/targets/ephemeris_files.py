@@ -181,13 +181,18 @@ def _sp3(text: str, path: Path, field: str) -> dict[str, list[Ephemeris]]:
     return out
 
 
+def _sp3_date(line: str) -> list[float]:
+    """Year, month, day, hour, minute and second of an epoch."""
+    date = [float(x) for x in line[1:].split()[:6]]
+    if len(date) < 6:
+        raise ValueError("an epoch of six")
+    return date
+
+
 def _sp3_line(line: str, dates: list[list[float]], rows: dict[str, dict[int, list[float]]]) -> None:
     """Put what a line says to the dates, or to an object's rows by the number of their date."""
     if line.startswith("* "):
-        date = [float(x) for x in line[1:].split()[:6]]
-        if len(date) < 6:
-            raise ValueError("an epoch of six")
-        dates.append(date)
+        dates.append(_sp3_date(line))
     elif not dates:
         return
     elif line[:1] == "P":
