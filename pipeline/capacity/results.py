@@ -101,7 +101,8 @@ def _objects(
         found.append(gaps)
         for name, many in counted.items():
             mine = (regime[first:last] == name)[gaps.of]
-            many += np.histogram(gaps.all_s[mine] / 3600.0, GAP_BINS_H)[0]
+            hours = np.minimum(gaps.all_s[mine] / 3600.0, GAP_BINS_H[-1])  # the last: or longer
+            many += np.histogram(hours, GAP_BINS_H)[0]
     e = course.elements
 
     def column(name: str) -> NDArray[np.float64]:

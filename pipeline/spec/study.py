@@ -239,6 +239,9 @@ class Study(Strict):
         for field, names in (("cameras", cameras), ("sensors", sensors)):
             if len(set(names)) < len(names):
                 raise PydanticCustomError("names", "allowed: different names", {"field": field})
+            if "range_km" in names:
+                told = "allowed: other names than range_km, a column of its own"
+                raise PydanticCustomError("names", "{told}", {"told": told, "field": field})
         for i, sensor in enumerate(self.sensors):
             if sensor.camera is not None and sensor.camera not in cameras:
                 raise PydanticCustomError(

@@ -141,7 +141,7 @@ def _words(course: Course) -> Iterator[tuple[str, object]]:
 def set_field(data: JsonObject, name: str, value: object) -> None:
     """Set a dotted field of plain data: `sensor.read_noise_e`, `targets.0.body.albedo`."""
     try:
-        set_dotted(data, name, value)
+        set_dotted(data, name, copy.deepcopy(value))  # what becomes of it here is not the axis's
     except NoFieldError as missing:
         allowed = f"a field of the scene; there is no {missing.args[0]}"
         raise BadInput(name, value, allowed) from None

@@ -176,6 +176,7 @@ def results(request: Request, service: Service, job_id: str) -> Response:
         {
             name: {"href": f"{here}/{path}", "type": kind, "title": title}
             for name, (title, path, kind) in OUTPUTS.items()
+            if found.kind == "scene" or name == "report"  # of sweeps and studies no frames are kept
         }
     )
 

@@ -119,6 +119,10 @@ def test_gaps_are_counted_by_orbit(
             gaps += np.diff([0.0, *times, end]).tolist()
         wanted, _ = np.histogram(np.array(gaps) / 3600.0, results.GAP_BINS_H)
         np.testing.assert_array_equal(many, wanted)
+    whole = {regime: many.sum() for regime, many in counted.items()}
+    monkeypatch.setattr(results, "GAP_BINS_H", np.array([0.0, 0.1, 0.2]))  # longer ones: the last
+    _, short = results._objects(made.course, files, counts)
+    assert {regime: many.sum() for regime, many in short.items()} == whole
 
 
 def test_hours_and_sensors(made: Made) -> None:

@@ -252,6 +252,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"duration_h": 24 * 3000, "catalogue": {"synthetic": {"objects": 50_000}}},
      "study: '[0-9]+ h of one core' is not accepted; allowed: up to 24 h"),
     ({"sensors.1.name": "one"}, "^sensors: .*allowed: different names$"),
+    ({"sensors.1.name": "range_km"}, "^sensors: .*allowed: other names than range_km"),
     ({"cameras.0.tracking": "sidereal", "tasking": {"kind": "serendipitous", "pattern": "fence",
         "from_deg": 60, "to_deg": 60}},
      "^tasking.to_deg: 60 is not accepted; allowed: above from_deg = 60"),

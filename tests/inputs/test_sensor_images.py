@@ -143,6 +143,7 @@ def test_memory_is_what_machine_and_container_leave(tmp_path, monkeypatch):
     machine = psutil.virtual_memory().available
     own = psutil.Process().memory_info().rss
     monkeypatch.setattr(memory, "GROUP", tmp_path)
+    monkeypatch.setattr(memory, "OWN_GROUP", tmp_path / "own")
     assert memory.free_mb() == pytest.approx((machine + own) / 1e6, rel=0.2)
     for most, held, free in (("3000000000", "1000000000", 2e9), ("500000000", "900000000", 0.0),
                              ("400000000", "", 4e8)):  # fmt: skip
@@ -153,6 +154,14 @@ def test_memory_is_what_machine_and_container_leave(tmp_path, monkeypatch):
     for held, free in (("300000000", 3e8), ("100000000", 4e8)):  # files are given back
         (tmp_path / "memory.current").write_text(held + "\n")
         assert memory.free_mb() == pytest.approx((min(free, machine) + own) / 1e6, abs=30.0)
+    step = tmp_path / "job" / "step"
+    step.mkdir(parents=True)
+    (tmp_path / "own").write_text("1:name=systemd:/other\n0::/job/step\n")
+    for group, free in ((step, 1e8), (step.parent, 5e7)):  # a job's step, and the job itself
+        (group / "memory.max").write_text(f"{free:.0f}\n")
+        assert memory.free_mb() == pytest.approx((free + own) / 1e6, abs=30.0)
+    for group in (step, step.parent):
+        (group / "memory.max").write_text("max\n")
     (tmp_path / "memory.max").write_text("max\n")
     assert memory.free_mb() == pytest.approx((machine + own) / 1e6, rel=0.2)
 

@@ -797,3 +797,14 @@ def test_metrics_of_targets_that_an_axis_brings(sweep_file, scene_data, tmp_path
     assert rows[1]["snr.other"] == rows[0]["snr.ball"]
     with pytest.raises(BadInput, match=r"targets: .* each name once"):
         run.sweep(sweep_file([axis], targets=["ball", "ball"]), out)
+
+
+def test_paths_in_mappings_of_axes_stay_as_they_are_written(sweep_file, tmp_path):
+    """What one point makes of a value is not the value of the axis."""
+    (tmp_path / "band.csv").write_text("wavelength_nm,transmission\n400,0.5\n900,0.5\n")
+    band = {"kind": "table", "path": "band.csv"}
+    axis = {"field": "sensor.bandpass", "values": [band]}
+    out = tmp_path / "out"
+    run.sweep(sweep_file([axis], metrics=["background"]), out, Options("synchronous"))
+    (row,) = pq.read_table(out / "points.parquet").to_pylist()
+    assert json.loads(row["sensor.bandpass"]) == band

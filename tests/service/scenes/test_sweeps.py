@@ -124,6 +124,9 @@ def test_a_sweep_is_a_job(server: Any, sweep: dict[str, Any]) -> None:
     assert table.num_rows == 4
     assert server.client.get(f"{job}/report").json()["points"] == 4
     assert server.client.get(f"{job}/preview.png").status_code == 404
+    outputs = server.client.get(f"/ogc/jobs/{job.rpartition('/')[2]}/results").json()
+    assert list(outputs) == ["report"]
+    assert server.client.get(outputs["report"]["href"]).status_code == 200
     for href in files.values():
         assert str(server.home).encode() not in server.client.get(href).content, href
 
