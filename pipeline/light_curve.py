@@ -42,6 +42,7 @@ from pipeline.store.result_files import check_ending, without_nan
 Array = NDArray[np.float64]
 
 MOST_POINTS = 1_000_000
+ROWS = 1_000_000  # that are held before they are written
 ENDINGS = (".parquet", ".csv")
 
 
@@ -192,7 +193,8 @@ def write_light_curves(
             _writer(own, first.schema, ending) as writer,
         ):
             writer.write_table(plain(first))
-            while some := list(islice(curves, TOGETHER)):
+            at_once = max(1, min(TOGETHER, ROWS // len(utc)))
+            while some := list(islice(curves, at_once)):
                 writer.write_table(plain(pa.concat_tables([_table(n, c, utc) for n, c in some])))
                 count += len(some)
     except OSError as error:

@@ -143,12 +143,17 @@ def test_a_table_is_of_the_form_that_its_ending_names(tmp_path: Path) -> None:
         assert not (tmp_path / name).exists()
 
 
-def test_many_together_are_each_as_alone(tmp_path: Path) -> None:
+def test_many_together_are_each_as_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Targets and members of a population, in one table; the same as one by one."""
     population = {"name": "crowd", "path": str(ROOT / "examples" / "population.tle"),
                   "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2}}  # fmt: skip
     scene = parse_scene(SCENE | {"populations": [population]})
     count = write_light_curves(light_curves(scene, [], BAND, points=20), tmp_path / "all.parquet")
+    monkeypatch.setattr("pipeline.light_curve.ROWS", 70)  # few at a time
+    write_light_curves(light_curves(scene, [], BAND, points=20), tmp_path / "few.parquet")
+    few, whole = (pq.read_table(tmp_path / f"{name}.parquet") for name in ("few", "all"))
+    for name in whole.column_names:
+        np.testing.assert_array_equal(few[name].to_numpy(), whole[name].to_numpy())
     read = pq.read_table(tmp_path / "all.parquet")
     names = read["target"].to_pylist()[::20]
     assert names[:2] == ["tube", "ball"]
