@@ -21,8 +21,8 @@ def field_streak_warnings(plan: ResolvedScene, g: Geometry) -> list[str]:
     is L/2 dR/dy off; of light F / L on each px of the streak a pixel sums F/2 of the changes
     along a line, or, of a short streak, F L/2 of the largest.
     """
-    field, length_px = plan.responses.field, _longest_px(plan, g)
-    if field is None or not length_px > 0.0:
+    field = plan.responses.field
+    if field is None or not (length_px := _longest_px(plan, g)) > 0.0:
         return []
     from pipeline.plan.optics.psf_field import SAMPLES, image_of
 
@@ -62,4 +62,4 @@ def _longest_px(plan: ResolvedScene, g: Geometry) -> float:
     x, y = g.target_x_px, g.target_y_px
     inside = distance_px(x, y, 0, 0, plan.camera.rows, plan.camera.columns) <= 0.0
     lengths = np.hypot(np.diff(x, axis=-1), np.diff(y, axis=-1)).sum(axis=-1)
-    return max(longest, float(lengths[inside.any(axis=-1)].max(initial=0.0)))
+    return max(longest, float(np.nan_to_num(lengths)[inside.any(axis=-1)].max(initial=0.0)))
