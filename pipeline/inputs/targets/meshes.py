@@ -65,16 +65,19 @@ class MeshFile:
     notices: tuple[str, ...] = ()
 
 
+FileKey = tuple[str, Unit]  # path and unit
+
+
 def gather_meshes(scene: Scene) -> Scene:
     """The scene with the meshes of its targets read; what the files have to say is in the models.
 
     BadInput where a file is not the one that the scene was made with.
     """
-    targets = []
+    targets, known = [], dict[FileKey, MeshFile]()
     for i, target in enumerate(scene.targets):
         body, field = target.body, f"targets.{i}.body"
         if isinstance(body, MeshBody):
-            model = gather_mesh(body, field)
+            model = gather_mesh(body, field, known)
             if body.digest not in (None, model.digest):
                 raise BadInput(f"{field}.digest", body.digest, f"{model.digest}, of these files")
             read = body.with_model(model, 0.5 * scene.accuracy.flux_fraction)
@@ -83,13 +86,24 @@ def gather_meshes(scene: Scene) -> Scene:
     return scene.model_copy(update={"targets": tuple(targets)})
 
 
-def gather_mesh(body: MeshBody, field: str = "body") -> MeshModel:
+def gather_mesh(
+    body: MeshBody, field: str = "body", known: dict[FileKey, MeshFile] | None = None
+) -> MeshModel:
     """A body's files read and put together: parts, surfaces, joints; its notices are for the user.
+
+    known : files that other bodies have read; those that this one reads are added
 
     BadInput names the field where a file cannot be used, an object is not in it, or a material
     has no surface.
     """
-    whole = read_mesh(Path(body.path), body.unit, f"{field}.path")
+    known = {} if known is None else known
+
+    def read(key: FileKey, place: str) -> MeshFile:
+        if key not in known:
+            known[key] = read_mesh(Path(key[0]), key[1], f"{place}.path")
+        return known[key]
+
+    whole = read((body.path, body.unit), field)
     files = {(body.path, body.unit): whole}
     palette = Palette()
     moved = (part.objects or () for part in body.parts if part.path is None)
@@ -102,7 +116,7 @@ def gather_mesh(body: MeshBody, field: str = "body") -> MeshModel:
         place = f"{field}.parts.{k}"
         key = (part.path or body.path, part.unit or body.unit)
         if key not in files:
-            files[key] = read_mesh(Path(key[0]), key[1], f"{place}.path")
+            files[key] = read(key, place)
         some = _take(files[key], part.objects, set(), f"{place}.objects")
         facets = _facets(files[key], some, palette, (part, body), place)
         on = None if part.on is None else numbers[part.on]
@@ -122,7 +136,7 @@ def _check_materials(owner: Meshed, files: Collection[MeshFile], field: str) -> 
             raise BadInput(f"{field}.materials", name, f"a material of the file: {_names(known)}")
 
 
-def _digest(body: MeshBody, files: Mapping[tuple[str, Unit], MeshFile], palette: Palette) -> str:
+def _digest(body: MeshBody, files: Mapping[FileKey, MeshFile], palette: Palette) -> str:
     """Of a body and its files: names, but not the folders that they lie in, nor what reading them
     has added to the body: a product's scene is read with the same files again.
     """

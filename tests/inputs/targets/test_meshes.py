@@ -363,6 +363,20 @@ def test_a_polygon_whose_halves_turn_either_way_is_refused(tmp_path):
         read_mesh(write(tmp_path, prism([(0, 0), (1, 1), (1, 0), (0, 1)], 0, "obj")), "m")
 
 
+def test_a_file_is_read_once_for_all_targets(tmp_path, monkeypatch):
+    read = []
+    monkeypatch.setattr(
+        "pipeline.inputs.targets.meshes.read_mesh",
+        lambda path, *others: read.append(path) or read_mesh(path, *others),
+    )
+    one, two = (write(tmp_path, CUBE, name) for name in ("a.obj", "b.obj"))
+    known = {}
+    models = [gather_mesh(body(path), "body", known) for path in (one, two, one, one)]
+    assert read == [one, two]
+    assert models[0].digest == models[2].digest == models[3].digest
+    assert models[0].parts is not models[2].parts
+
+
 def test_a_face_of_two_corners_is_refused(tmp_path):
     content = b"v 0 0 0\nv 1 0 0\nv 0 1 0\no a\nf 1 2 3\no b\nf 1 2\n"
     with pytest.raises(BadInput, match=r"body\.path"):
