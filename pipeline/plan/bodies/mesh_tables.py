@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import threading
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +32,7 @@ ROWS_RAD = 0.05  # of a tabulated attitude, between rows that are looked at
 ROUNDING_S = 1e-6
 KEPT: dict[str, LightTable | None] = {}  # of this process, by what they follow from
 MOST_KEPT = 256
+LOCK = threading.Lock()  # of what is put there, and dropped
 
 
 def table_of(scene: Scene, index: int, at: Moments) -> LightTable | None:
@@ -57,17 +60,19 @@ def table_between(
     if wanted < WORTH or at.elsewhere is None:
         return None
     key = _key(scene, index, start_s, stop_s, wanted)
-    if key not in KEPT:
-        made, spin = None, spin_rad_s(body)
-        if spin is not None:
-            assert body.error is not None
-            light, share = _Light(scene, index, at, spin), 2.0 * body.error
-            turns = _turns_s(light, start_s, stop_s)
-            made = tabulated(light, start_s, stop_s, share, wanted // SHARE, spin != 0.0, turns)
+    with suppress(KeyError):  # of one that another thread drops meanwhile
+        return KEPT[key]
+    made, spin = None, spin_rad_s(body)
+    if spin is not None:
+        assert body.error is not None
+        light, share = _Light(scene, index, at, spin), 2.0 * body.error
+        turns = _turns_s(light, start_s, stop_s)
+        made = tabulated(light, start_s, stop_s, share, wanted // SHARE, spin != 0.0, turns)
+    with LOCK:
         while len(KEPT) >= MOST_KEPT:
             KEPT.pop(next(iter(KEPT)))
         KEPT[key] = made
-    return KEPT[key]
+    return made
 
 
 def moments_wanted(scene: Scene, body: MeshBody) -> int:
