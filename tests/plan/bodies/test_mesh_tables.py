@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -323,3 +325,27 @@ def test_no_table_where_a_joint_spins_on_a_body_that_follows_a_table() -> None:
         body = MeshBody.model_validate(mesh)
         body._model = SimpleNamespace(parts=[SimpleNamespace(joint=joint)])
         assert mesh_tables.spin_rad_s(body) == spin
+
+
+def test_tables_are_kept_by_many_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More than are held, so that one drops what another has just looked for."""
+    monkeypatch.setattr(mesh_tables, "_key", lambda _, index, *__: str(index))
+    monkeypatch.setattr(mesh_tables, "spin_rad_s", lambda _: None)
+    monkeypatch.setattr(mesh_tables, "MeshBody", type(None))
+    monkeypatch.setattr(mesh_tables, "KEPT", {})
+    scene: Any = SimpleNamespace(targets=[SimpleNamespace(body=None)] * 10_000)
+    at: Any = SimpleNamespace(elsewhere=1)
+
+    def look(first: int) -> int:
+        for i in range(20_000):
+            table_between(scene, (first + 7 * i) % 10_000, at, 0.0, 1.0, 10**9)
+        return first
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            assert list(pool.map(look, range(4))) == [0, 1, 2, 3]
+    finally:
+        sys.setswitchinterval(before)
+    assert len(mesh_tables.KEPT) == mesh_tables.MOST_KEPT
