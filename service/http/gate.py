@@ -82,7 +82,8 @@ class Gate:
             return
         site = headers.get(b"sec-fetch-site", b"none")
         origin = headers.get(b"origin")
-        if site not in (b"none", b"same-origin") or (origin and _place_of(origin) != host):
+        foreign = origin is not None and _place_of(origin) != host
+        if site not in (b"none", b"same-origin") or foreign:
             raise problems.Forbidden("another site's page may not change anything here")
 
     def _count(self, scope: Scope, status: int, seconds: float) -> None:

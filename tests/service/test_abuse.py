@@ -316,7 +316,7 @@ def test_linked_uploads_and_products_are_not_followed(server: Any, finished: str
     [
         {"origin": "https://evil.example"}, {"origin": "null"},
         {"sec-fetch-site": "cross-site"}, {"sec-fetch-site": "same-site"},
-        {"origin": "http://["},
+        {"origin": "http://["}, {"origin": ""},
     ],
 )  # fmt: skip
 def test_other_peoples_pages_change_nothing(
