@@ -138,9 +138,9 @@ def _rows(path: Path, field: str, heading: bool = True) -> list[list[str]]:
         if path.stat().st_size > LARGEST_BYTES:
             raise BadInput(field, str(path), f"a table of at most {LARGEST_BYTES} bytes")
         lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, ValueError) as error:
+        rows = [r for r in csv.reader(li for li in lines if li.strip()) if not r[0].startswith("#")]
+    except (OSError, ValueError, csv.Error) as error:
         raise BadInput(field, str(path), "a readable text file") from error
-    rows = [r for r in csv.reader(li for li in lines if li.strip()) if not r[0].startswith("#")]
     if heading and rows and not _is_number(rows[0][0]):
         rows = rows[1:]
     if not rows:

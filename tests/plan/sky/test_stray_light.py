@@ -207,6 +207,7 @@ def test_a_curve_reaches_to_the_far_side_of_the_earth(scene, tmp_path, end_deg, 
         ("1,1e-4\n", "two rows"),
         ("", "rows of numbers"),
         ("1,2,3\n4,5,6\n", "two numbers"),
+        ('1,1e-4\n"' + 140_000 * "1,", "a readable text file"),
     ],
 )
 def test_bad_curves(tmp_path, text, said):
