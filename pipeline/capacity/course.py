@@ -138,18 +138,18 @@ class StudyCourse:
 
         BadInput for more dwells in a window than may be held.
         """
-        pattern, out = self.study.tasking, []
+        pattern, kinds = self.study.tasking, []
         if not isinstance(pattern, SearchPattern):
             return []
-        for j in self.units:
-            one = round_of(self.watchers[j], pattern, self.study.sensors[j].slewing)
+        for watcher, sensor in zip(self.watchers, self.study.sensors, strict=True):
+            one = round_of(watcher, pattern, sensor.slewing)
             dwells = one.dwells_s * STEPS * self.study.step_s
             if dwells > MOST_DWELLS:
-                told = f"{dwells:.2g} dwells of {self.watchers[j].name} in {STEPS} steps"
+                told = f"{dwells:.2g} dwells of {watcher.name} in {STEPS} steps"
                 allowed = f"at most {MOST_DWELLS}: a shorter step_s, or longer dwells"
                 raise BadInput("step_s", told, allowed)
-            out.append(one)
-        return out
+            kinds.append(one)
+        return [kinds[j] for j in self.units]
 
 
 @lru_cache(maxsize=2)
@@ -297,9 +297,9 @@ def _idle(
         for places in (FEW_FIELDS, LOOKS):
             share = (np.arange(places) + 0.5) / places
             at_deg = tasking.from_deg + share * (tasking.to_deg - tasking.from_deg)
-            moments = watcher.watch(np.repeat(watch.offset_s[working], places))
-            along = axes_of_fields(watcher, moments, tasking, np.tile(at_deg, len(working)))[:, 2]
-            if _may_look(watcher, moments, np.arange(len(along)), along):
+            looked = watcher.watch(np.repeat(watch.offset_s[working], places))
+            along = axes_of_fields(watcher, looked, tasking, np.tile(at_deg, len(working)))[:, 2]
+            if _may_look(watcher, looked, np.arange(len(along)), along):
                 return None
         told = f"a {tasking.pattern} of which no field is ever within its field of regard"
         return BadInput("tasking", told, "fields that a sensor may look at")

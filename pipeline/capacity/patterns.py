@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pipeline.capacity.course import KEPT_SENSORS, StudyCourse, moments
-from pipeline.capacity.fields import axes_of_fields, field_rad, round_of
+from pipeline.capacity.fields import axes_of_fields, field_rad
 from pipeline.spec.study import SearchPattern
 from pipeline.survey.elements import Elements
 from pipeline.survey.sights import Sights, sights_of
@@ -40,7 +40,7 @@ def slots_of(course: StudyCourse, window: int, unit_: int) -> Slots:
     j = int(course.units[unit_])
     watcher, sensor, pattern = course.watchers[j], course.study.sensors[j], course.study.tasking
     assert isinstance(pattern, SearchPattern)
-    search = round_of(watcher, pattern, sensor.slewing)
+    search = course.rounds[unit_]
     count = search.fields
     first = (unit_ - int(np.searchsorted(course.units, j))) * count // sensor.count
     start, *_, end = course.offsets_s(window)

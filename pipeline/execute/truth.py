@@ -36,6 +36,7 @@ from pipeline.plan.response.zones import biquadratic
 
 Columns = dict[str, Any]
 
+ROW = 1 << 32  # from a pixel's number to that of the one above it
 MOST_PIECES = 256  # of a path whose SNR counts each of its pixels once
 MOST_VALUES = 1 << 22  # of a streak's pixels at several lights, held at a time
 LENGTHS, ALIKE = 9, 0.01  # of streaks, by whose arcsinh SNR is tabulated where it differs by more
@@ -356,10 +357,16 @@ def lit_pixels(
     places, values = [], []
     for x0, y0, piece, share in pieces(path):
         row, column, value = _kept(blur, plan.responses.usual_px, piece, y_px + y0, x_px + x0)
-        places.append(row.astype(np.int64) * (1 << 32) + column)
+        places.append(row.astype(np.int64) * ROW + column)
         values.append(share * value)
     number, index = np.unique(np.concatenate(places), return_inverse=True)
     return number, np.bincount(index, weights=np.concatenate(values)).astype(np.float64)
+
+
+def rows_and_columns(number: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns (m,) of the numbers of pixels that `lit_pixels` gives."""
+    row = (number + ROW // 2) // ROW
+    return row, number - row * ROW
 
 
 def _kept(

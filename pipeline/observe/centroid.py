@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
 from pipeline.execute.sources import FrameTarget, place_targets
-from pipeline.execute.truth import lit_pixels, world_of
+from pipeline.execute.truth import lit_pixels, rows_and_columns, world_of
 from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.resolved import ResolvedScene
@@ -61,8 +61,8 @@ def centroid_covariance_px2(plan: ResolvedScene, target: FrameTarget, frame: int
     floor_e2 = plan.snr_floor_e2(frame, np.array([x]), np.array([y]))
     information = light**2 * (slopes / (floor_e2 + own)) @ slopes.T
     known, axes = np.linalg.eigh(information)
-    row = (places + (1 << 31)) >> 32
-    at = np.stack([places - (row << 32), row], axis=-1) @ axes
+    row, column = rows_and_columns(places)
+    at = np.stack([column, row], axis=-1) @ axes
     off = at - np.average(at, axis=0, weights=p)
     widest_px2 = np.average(off**2, axis=0, weights=p) + 1.0 / 12.0
     if (known * widest_px2 >= 1.0).all():

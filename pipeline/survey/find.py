@@ -100,10 +100,9 @@ def find(scene: Scene, request: FindOptions, workers: int | None = None) -> Foun
 
 def _check(request: FindOptions) -> None:
     """BadInput for steps, hours or an SNR that are none."""
-    least = {"--step": (request.step_s, 0.0), "--snr": (request.least_snr, 0.0)}
-    for name, (value, above) in least.items():
-        if not above < value < math.inf:
-            raise BadInput(name, value, f"a number above {above:g}")
+    for name, value in (("--step", request.step_s), ("--snr", request.least_snr)):
+        if not 0.0 < value < math.inf:
+            raise BadInput(name, value, "a number above 0")
     if not 0.0 <= request.hours < math.inf:
         raise BadInput("--hours", request.hours, "a number from 0")
 

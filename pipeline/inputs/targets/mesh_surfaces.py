@@ -170,12 +170,12 @@ def read_brdf_table(
     raw, rows = _brdf_rows(path, name)
     axes, places = zip(*(np.unique(c, return_inverse=True) for c in rows.T[:3]), strict=True)
     shape = tuple(a.size for a in axes)
-    values = np.full(shape if math.prod(shape) == len(rows) else 0, np.nan)
-    if values.size:
-        values[places] = rows[:, 3] * scale
-    if not values.size or np.any(np.isnan(values)):
+    whole = 0 < math.prod(shape) == len(rows)  # before the grid is made
+    if not whole or np.unique(np.ravel_multi_index(places, shape)).size < len(rows):
         allowed = f"one row for each point of the grid of {shape[0]} x {shape[1]} x {shape[2]}"
         raise BadInput(name, f"{path.name} of {len(rows)} rows", allowed)
+    values = np.empty(shape)
+    values[places] = rows[:, 3] * scale
     theta_i, theta_o, phi = (np.deg2rad(a) for a in axes)
     return brdf_table(theta_i, theta_o, phi, values, field), raw
 

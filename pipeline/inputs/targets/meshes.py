@@ -97,13 +97,7 @@ def gather_mesh(
     has no surface.
     """
     known = {} if known is None else known
-
-    def read(key: FileKey, place: str) -> MeshFile:
-        if key not in known:
-            known[key] = read_mesh(Path(key[0]), key[1], f"{place}.path")
-        return known[key]
-
-    whole = read((body.path, body.unit), field)
+    whole = _read_once(known, (body.path, body.unit), field)
     files = {(body.path, body.unit): whole}
     palette = Palette()
     moved = (part.objects or () for part in body.parts if part.path is None)
@@ -115,8 +109,7 @@ def gather_mesh(
     for k, part in enumerate(body.parts):
         place = f"{field}.parts.{k}"
         key = (part.path or body.path, part.unit or body.unit)
-        if key not in files:
-            files[key] = read(key, place)
+        files[key] = _read_once(known, key, place)
         some = _take(files[key], part.objects, set(), f"{place}.objects")
         facets = _facets(files[key], some, palette, (part, body), place)
         on = None if part.on is None else numbers[part.on]
@@ -126,6 +119,13 @@ def gather_mesh(
     _check_materials(body, files.values(), field)
     notices = chain(*(file.notices for file in files.values()), palette.notices)
     return MeshModel(tuple(parts), palette.surfaces, _digest(body, files, palette), tuple(notices))
+
+
+def _read_once(known: dict[FileKey, MeshFile], key: FileKey, field: str) -> MeshFile:
+    """A file that is known, or that is read and known from then on."""
+    if key not in known:
+        known[key] = read_mesh(Path(key[0]), key[1], f"{field}.path")
+    return known[key]
 
 
 def _check_materials(owner: Meshed, files: Collection[MeshFile], field: str) -> None:
