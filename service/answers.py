@@ -30,9 +30,12 @@ class Refused(BadInput):
         return "\n".join(f"{f}: {v} is not accepted; {_allowed(a)}" for f, v, a in self.mistakes)
 
 
-def problem_of(answer: httpx.Response) -> NightglassError | None:
-    """The error that an answer means, or None."""
-    if answer.status_code < 400:
+def problem_of(answer: httpx.Response, *, was_asked: bool = False) -> NightglassError | None:
+    """The error that an answer means, or None.
+
+    was_asked : to delete it, by a request whose answer was lost: it need not be there any more
+    """
+    if answer.status_code < 400 or (was_asked and answer.status_code == 404):
         return None
     status = f"status {answer.status_code} {answer.reason_phrase}"
     try:

@@ -284,7 +284,8 @@ class Client:
         Returns
         -------
         httpx.Response
-            An answer that is no error.
+            An answer that is no error; also 404 for what an earlier DELETE, whose answer was lost,
+            may have removed.
 
         Raises
         ------
@@ -293,18 +294,18 @@ class Client:
         ServiceError
             Where no answer comes within `patience_s` (FIRST_S where none ever came), or a fault.
         """
-        begun, pause_s = time.monotonic(), 0.25
+        begun, pause_s, lost = time.monotonic(), 0.25, False
         while True:
             try:
                 answer = self.http.request(method, path, **request)
                 self._met = True
-                problem = problem_of(answer)
+                problem = problem_of(answer, was_asked=lost and method == "DELETE")
                 if problem is None:
                     return answer
                 if answer.status_code not in NOT_NOW:
                     raise problem
             except httpx.TransportError as error:
-                problem = ServiceError(f"{self.url} does not answer: {error}")
+                problem, lost = ServiceError(f"{self.url} does not answer: {error}"), True
             patience_s = self.patience_s if self._met else min(self.patience_s, FIRST_S)
             if time.monotonic() + pause_s > begun + patience_s:
                 raise problem

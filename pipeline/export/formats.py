@@ -123,7 +123,7 @@ class _Job:
 def _movie(job: _Job, output: Path) -> Iterator[Path]:
     pictures = movie_frames(job.product, job.frames, job.request.layer, MOVIE_PX)
     if output.suffix == ".gif":
-        write_atomically(output, gif_bytes(pictures, job.request.fps))
+        write_atomically(output, gif_bytes(pictures, len(job.frames), job.request.fps))
     else:
         encoder()
         part = output.with_name(output.stem + ".part.mp4")

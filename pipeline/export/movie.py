@@ -14,6 +14,7 @@ from pipeline.errors import BadInput, Missing, why_broken
 from pipeline.export.picture import GreyLimits, limits_of, shrink, stretch
 from pipeline.store.cube import read_layer
 
+MOST_GIF_BYTES = 1 << 29  # of grey pictures together, of which more than twice that is held
 MOST_SAMPLES = 16  # frames that the common grey levels are taken from
 
 
@@ -29,15 +30,22 @@ def movie_frames(
         yield stretch(small, common)[::-1]
 
 
-def gif_bytes(pictures: Iterator[NDArray[np.uint8]], fps: float) -> bytes:
-    """An endless GIF; a frame lasts a whole number of 10 ms, and at least 20 ms."""
+def gif_bytes(pictures: Iterator[NDArray[np.uint8]], frames: int, fps: float) -> bytes:
+    """An endless GIF of so many frames, which are held together until it is written.
+
+    A frame lasts a whole number of 10 ms, and at least 20 ms. BadInput for too many frames.
+    """
+    first = next(pictures)
+    if frames * first.nbytes > MOST_GIF_BYTES:
+        allowed = f"gif of at most {MOST_GIF_BYTES // first.nbytes} frames of this size; or mp4"
+        raise BadInput("--to", f"gif of {frames} frames", allowed)
     images = [Image.fromarray(p) for p in pictures]
     out = BytesIO()
-    images[0].save(
+    Image.fromarray(first).save(
         out,
         format="GIF",
         save_all=True,
-        append_images=images[1:],
+        append_images=images,
         loop=0,
         duration=max(20, round(100.0 / fps) * 10),
     )

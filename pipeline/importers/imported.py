@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,9 @@ class Imported:
         scene = parse_scene(self.data)
         output.parent.mkdir(parents=True, exist_ok=True)
         for name, image in self.images.items():
-            np.save(output.parent / name, image, allow_pickle=False)
+            content = BytesIO()
+            np.save(content, image, allow_pickle=False)
+            write_atomically(output.parent / name, content.getvalue())
         head = "".join(f"# {line}\n" for line in self.lines())
         write_atomically(output, (head + scene_yaml(scene)).encode())
         return scene

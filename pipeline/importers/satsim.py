@@ -14,7 +14,7 @@ from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.importers.imported import Fields, Imported, Notes, read_bytes, scene_name
 from pipeline.importers.placing import Wanted, astray, electrons_of_sunlight, far_observer, place
-from pipeline.importers.satsim_values import settled
+from pipeline.importers.satsim_values import Chance, settled
 from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.targets.sphere import sphere_intensity_per_irradiance
 
@@ -42,8 +42,8 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
     except (ValueError, RecursionError) as error:
         raise BadInput("FILE", str(path), f"JSON ({error})") from None
     notes = Notes()
-    drawn: list[str] = []
-    fields = Fields(settled(raw, np.random.default_rng(seed), drawn))
+    chance = Chance(np.random.default_rng(seed))
+    fields = Fields(settled(raw, chance))
     for name in IGNORED:
         fields.get(name)
     images: Images = {}
@@ -76,7 +76,7 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
         "band bessell-V, with the aperture that gives the zero point to a star like the Sun",
         "accept sun: SatSim looks anywhere at any time",
     ]
-    notes.assumed += drawn
+    notes.assumed += chance.told
     notes.left_out += [f"{key}: no such thing in a scene" for key in fields.unused()]
     data = place(data, wanted)
     if (off_px := astray(data, wanted)) > 0.01:

@@ -33,6 +33,7 @@ SITES = {
     "cerro pachon": (-30.24074, -70.73669, 2749.0),
     "palomar": (33.35600, -116.86300, 1706.0),
 }
+MOST_VALUES = 100_000  # that a file may hold, with what its anchors stand for
 LARGEST_IMAGE_PX = 1 << 23  # vignetting is written as an image up to so many pixels
 
 
@@ -91,10 +92,23 @@ def read_simsit(
 def _yaml(path: Path) -> object:
     """Plain data; anchors are followed, as these files use them, and nothing else is run."""
     try:
-        return YAML(typ="safe", pure=True).load(BytesIO(read_bytes(path)))
+        data = YAML(typ="safe", pure=True).load(BytesIO(read_bytes(path)))
+        _check_extent(data)
+        return data
     except (YAMLError, RecursionError, ValueError, UnicodeDecodeError) as error:
         problem = next(iter(str(error).splitlines()), "")
         raise BadInput("FILE", str(path), f"YAML ({problem})") from None
+
+
+def _check_extent(data: object) -> None:
+    """ValueError for more values than a file writes out: anchors within anchors."""
+    level, values = [data], 0
+    while level:
+        inner = [v for v in level if isinstance(v, dict | list)]
+        level = [w for v in inner for w in (v.values() if isinstance(v, dict) else v)]
+        values += len(level)
+        if values > MOST_VALUES:
+            raise ValueError(f"more than {MOST_VALUES} values, with what its anchors stand for")
 
 
 def _within(f: Fields, key: str, rng: np.random.Generator, low: float, high: float) -> float:

@@ -21,7 +21,7 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image
 
 from pipeline.errors import BadInput
-from pipeline.export import formats, satnet
+from pipeline.export import formats, movie, satnet
 from pipeline.export.coco import annotation, image_entry, packed, run_lengths
 from pipeline.export.formats import ExportRequest, _Job, export_product
 from pipeline.export.labels import Labels
@@ -160,8 +160,17 @@ def test_movies(labelled, tmp_path):
 def test_frames_of_a_gif_last_whole_hundredths_and_two_at_least(fps, lasts_ms):
     """However many a second are asked for: browsers slow shorter ones down."""
     pictures = (np.full((4, 4), grey, np.uint8) for grey in (0, 255))
-    gif = Image.open(io.BytesIO(gif_bytes(pictures, fps)))
+    gif = Image.open(io.BytesIO(gif_bytes(pictures, 2, fps)))
     assert (gif.n_frames, gif.info["duration"]) == (2, lasts_ms)
+
+
+def test_a_gif_whose_frames_fill_the_memory_is_refused(monkeypatch):
+    """All of them are held until it is written; a film's are not."""
+    monkeypatch.setattr(movie, "MOST_GIF_BYTES", 40)
+    pictures = [np.zeros((4, 4), np.uint8)] * 3
+    assert gif_bytes(iter(pictures[:2]), 2, 4.0)
+    with pytest.raises(BadInput, match=r"gif of 3 frames.*at most 2 frames of this size; or mp4"):
+        gif_bytes(iter(pictures), 3, 4.0)
 
 
 def test_a_movie_of_odd_sides_that_differ(tmp_path):

@@ -17,7 +17,7 @@ from pipeline.errors import BadInput
 from pipeline.importers.passes import Pass, zenith_pass
 from pipeline.importers.placing import Wanted, astray, electrons_of_sunlight, far_observer, place
 from pipeline.importers.satsim import read_satsim, sphere_mag
-from pipeline.importers.satsim_values import settled
+from pipeline.importers.satsim_values import Chance, settled
 from pipeline.importers.simsit import radial_terms, read_simsit
 from pipeline.opened_product import open_product
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, star_paths
@@ -492,7 +492,7 @@ def test_a_satsim_sensor_is_what_the_file_says(published):
 )  # fmt: skip
 def test_chance_without_a_choice_gives_the_value(given, wanted):
     """numpy's own names and order of the terms; a polynomial's highest power first."""
-    assert settled(given, np.random.default_rng(1), []) == wanted
+    assert settled(given, Chance(np.random.default_rng(1))) == wanted
 
 
 @pytest.mark.parametrize(
@@ -503,7 +503,7 @@ def test_chance_without_a_choice_gives_the_value(given, wanted):
 def test_samples_that_cannot_be_drawn_are_named(given, field):
     value = {"$sample": "random.uniform", "low": 0.0, "high": 1.0} | given
     with pytest.raises(BadInput) as caught:
-        settled(value, np.random.default_rng(1), [], "a")
+        settled(value, Chance(np.random.default_rng(1)), "a")
     assert caught.value.field == field
 
 
@@ -519,7 +519,7 @@ def test_a_sample_inside_another_keeps_the_seed_of_its_own(seed):
     inner = {"$sample": "random.uniform", "low": 0.0, "high": 1.0, "seed": seed}
     drawn = {"$sample": "random.list", "length": 1, "value": inner, "seed": 3}
     wanted = np.random.RandomState(seed).uniform(0.0, 1.0)
-    assert settled(drawn, np.random.default_rng(1), []) == [wanted]
+    assert settled(drawn, Chance(np.random.default_rng(1))) == [wanted]
 
 
 def test_what_chance_chose_is_told_by_its_place():
@@ -530,7 +530,7 @@ def test_what_chance_chose_is_told_by_its_place():
         "c": {"$sample": "random.list", "length": 2, "value": {"d": third}},
     }
     told: list[str] = []
-    settled(given, np.random.default_rng(1), told)
+    settled(given, Chance(np.random.default_rng(1), told))
     assert told == [
         "a.b chosen at random: number 1 of 1", "a.b drawn at random by random.normal: 0.333333",
         "a.b drawn at random by random.choice: 0.333333",
@@ -539,7 +539,7 @@ def test_what_chance_chose_is_told_by_its_place():
     ]  # fmt: skip
     choices = {"$sample": "random.choice", "choices": [{"$pipeline": [{"function": "sine"}]}]}
     with pytest.raises(BadInput, match=r"a\.\$pipeline"):
-        settled({"a": choices}, np.random.default_rng(1), [])
+        settled({"a": choices}, Chance(np.random.default_rng(1)))
 
 
 def test_samples_with_a_seed_are_those_that_satsim_draws():
@@ -560,8 +560,7 @@ def test_samples_with_a_seed_are_those_that_satsim_draws():
             "chosen": {"$sample": "random.choice", "choices": [1, 2, 3, 4], "seed": 2},
             "list": {"$sample": "random.list", "length": 2, "value": line, "seed": 3},
         },
-        np.random.default_rng(1),
-        [],
+        Chance(np.random.default_rng(1)),
     )
     *rest, listed = drawn.values()
     wanted = [1.7210787555070768, 47, -3.870732306177376, 5.858360640998882, 1]
@@ -574,7 +573,7 @@ def test_samples_with_a_seed_are_those_that_satsim_draws():
 def test_a_chance_of_another_sign_is_a_number(negate):
     uniform = {"$sample": "random.uniform", "low": 1, "high": 5, "negate": negate}
     with pytest.raises(BadInput, match="allowed: a number from 0 to 1") as told:
-        settled({"pe": uniform}, np.random.default_rng(1), [])
+        settled({"pe": uniform}, Chance(np.random.default_rng(1)))
     assert told.value.field.endswith("pe.negate")
 
 
@@ -746,3 +745,29 @@ def test_limits_bad_simsit_files(tmp_path, published):
 def test_a_density_that_is_no_list_is_refused(satsim) -> None:
     with pytest.raises(BadInput, match=r"geometry\.stars\.mv\.density: 5"):
         satsim({"geometry.stars.mode": "bins", "geometry.stars.mv.density": 5})
+
+
+def test_lists_within_lists_are_not_drawn_without_end():
+    """A hundred bytes ask for 10^12 values; a list of 10,000 once is drawn."""
+    within = {"$sample": "random.list", "length": 10_000, "value": 1}
+    assert len(settled(within, Chance(np.random.default_rng(1)))) == 10_000
+    for _ in range(2):
+        within = {"$sample": "random.list", "length": 10_000, "value": within}
+    with pytest.raises(BadInput, match=r"more left to chance.*100000000 numbers in all"):
+        settled(within, Chance(np.random.default_rng(1)), "a")
+    images = {"$sample": "random.uniform", "low": 0.0, "high": 1.0, "size": [10, 10]}
+    chance = Chance(np.random.default_rng(1), left=150)
+    settled(images, chance, "a")
+    with pytest.raises(BadInput, match="more left to chance"):
+        settled(images, chance, "a")
+
+
+@pytest.mark.parametrize(
+    "text", ["a: &a {b: *a}", "k0: &a0 1\n" + "".join(
+        f"k{i + 1}: &a{i + 1} {{p: *a{i}, q: *a{i}}}\n" for i in range(40))]
+)  # fmt: skip
+def test_anchors_within_anchors_are_refused(text, tmp_path):
+    path = tmp_path / "grows.yaml"
+    path.write_text(text)
+    with pytest.raises(BadInput, match="more than 100000 values"):
+        read_simsit(path, "2020-01-01T00:00:00Z")

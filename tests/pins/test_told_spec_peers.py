@@ -13,7 +13,7 @@ import pytest
 from pipeline.errors import BadInput
 from pipeline.importers.imported import Fields, Imported, scene_name
 from pipeline.importers.satsim import read_satsim
-from pipeline.importers.satsim_values import settled
+from pipeline.importers.satsim_values import Chance, settled
 from pipeline.importers.simsit import SITES, read_simsit
 from pipeline.spec.load import apply_override, parse_yaml
 from tests.pins.told import check_told
@@ -235,12 +235,12 @@ def test_values_left_to_chance_and_pieces(tmp_path: Path, monkeypatch: pytest.Mo
     lines = []
     for wish in VALUES.strip().splitlines():
         value, said = parse_yaml(wish.replace("%", "$sample: random.")), list[str]()
-        found = told(lambda v=value, s=said: settled(v, np.random.default_rng(4), s, "at"))
+        found = told(lambda v=value, s=said: settled(v, Chance(np.random.default_rng(4), s), "at"))
         lines += [f"{wish}: {number(found)}", *(f"    {one}" for one in said)]
     deep: Any = 1
     for _ in range(34):
         deep = {"a": deep}
-    lines.append(str(told(lambda: settled(deep, np.random.default_rng(4), []))))
+    lines.append(str(told(lambda: settled(deep, Chance(np.random.default_rng(4))))))
     f = Fields({"a": {"b": 2, "c": {}, "d": [1, "x"], "e": None}, "f": 1.5, "g": True}, "top")
     for call in (
         lambda: f.has("a.b"),

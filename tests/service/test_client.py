@@ -14,6 +14,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 
@@ -56,6 +57,31 @@ def test_an_answer_that_is_cut_off_is_asked_for_again() -> None:
             client.patience_s = 0.3
             with pytest.raises(ServiceError, match="does not answer"):
                 client.ask("GET", "/v1/catalogues")
+
+
+@pytest.mark.parametrize(("lost", "status"), [(True, 404), (False, 404), (True, 409)])
+def test_a_job_deleted_by_a_request_whose_answer_was_lost_is_deleted(
+    lost: bool, status: int
+) -> None:
+    asked = 0
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        nonlocal asked
+        asked += 1
+        if lost and asked == 1:
+            raise httpx.ReadError("broken")
+        return httpx.Response(status, json={"detail": "no such job"})
+
+    with Client("http://h", patience_s=5.0) as client:
+        client.http = httpx.Client(transport=httpx.MockTransport(answer), base_url="http://h")
+        if lost and status == 404:
+            client.ask("DELETE", "/v1/jobs/x")
+        else:
+            with pytest.raises(ServiceError, match="no such job"):
+                client.ask("DELETE", "/v1/jobs/x")
+        asked = 0
+        with pytest.raises(ServiceError, match="no such job"):
+            client.ask("GET", "/v1/jobs/x")
 
 
 def test_submit_wait_open_fetch(

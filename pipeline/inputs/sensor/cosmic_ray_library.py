@@ -77,7 +77,7 @@ def _library(
     _, first = np.unique(event[row], return_index=True)
     start = np.append(first, len(row)).astype(np.int64)
     x, y = x0[row] + along[order], y0[row]
-    shape = _shape(header)
+    shape = _shape(path, field, header)
     if shape and len(x) and (y.max() >= shape[0] or x.max() >= shape[1]):
         raise BadInput(
             field,
@@ -135,9 +135,12 @@ def _positive(path: Path, field: str, header: JsonObject, name: str) -> Any:
     return value
 
 
-def _shape(header: JsonObject) -> tuple[int, int] | None:
-    rows, columns = header.get("ROWS"), header.get("COLUMNS")
-    return (int(rows), int(columns)) if rows and columns else None
+def _shape(path: Path, field: str, header: JsonObject) -> tuple[int, int] | None:
+    """The rows and columns of its frames; None where it does not say."""
+    if "ROWS" not in header or "COLUMNS" not in header:
+        return None
+    rows, columns = (int(_positive(path, field, header, name)) for name in ("ROWS", "COLUMNS"))
+    return rows, columns
 
 
 def write_library(path: Path, library: Library) -> None:

@@ -124,7 +124,9 @@ def _from_kvn(text: str) -> Iterable[JsonObject]:
     sets: list[JsonObject] = []
     for line in text.splitlines():
         key, sign, value = line.partition("=")
-        key, value = key.strip(), value.partition("[")[0].strip()
+        key, value = key.strip(), value.strip()
+        if key != "OBJECT_NAME":  # which may hold brackets; those of a number hold its unit
+            value = value.partition("[")[0].strip()
         if not sign or key.startswith("COMMENT"):
             continue
         if key == "CCSDS_OMM_VERS" or not sets or (key == "OBJECT_NAME" and key in sets[-1]):

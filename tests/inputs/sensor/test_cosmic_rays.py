@@ -222,6 +222,7 @@ def test_refusals_of_libraries(tmp_path):
         ({"header": {"ROWS": 4, "COLUMNS": 40}}, "places in its"),
         ({"pixel_values": nan}, "electrons, 0 or more"),
         ({"pixel_values": [np.float32([-0.5, 2.0]), np.float32([3.0])]}, "electrons, 0 or more"),
+        ({"header": {"ROWS": "few", "COLUMNS": 40}}, "ROWS above 0"),
     ):
         with pytest.raises(BadInput, match=says):
             read_library(table(tmp_path, **changed))

@@ -428,6 +428,24 @@ def test_an_omm_may_count_the_days_of_the_year(tmp_path: Path, kind: str) -> Non
         parse_utc(found["epoch"])
 
 
+def test_an_omm_name_keeps_its_brackets_and_a_number_loses_its_unit(tmp_path: Path) -> None:
+    """As names are (CelesTrak's STARLINK-11072 [DTC]), and as CCSDS writes units in KVN."""
+    path = tmp_path / "named.omm"
+    text = omm_text("kvn").replace("OBJECT_NAME = ISS", "OBJECT_NAME = ISS [DTC]")
+    (wanted,) = read_omm(_written(path, text), "f").values()
+    mean = f"MEAN_MOTION = {omm_fields()['MEAN_MOTION']}"
+    assert mean in text
+    text = text.replace(mean, f"{mean} [rev/day]")
+    ((name, found),) = read_omm(_written(path, text), "f").items()
+    assert name.startswith("ISS [DTC] | ")
+    assert found == wanted
+
+
+def _written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
 def test_rows_are_kept_for_other_times_that_are_asked_for(tmp_path: Path) -> None:
     """Of a light curve beyond the exposures."""
     true = write_csv(tmp_path / "a.csv")
