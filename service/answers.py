@@ -37,18 +37,23 @@ def problem_of(answer: httpx.Response, *, was_asked: bool = False) -> Nightglass
     """
     if answer.status_code < 400 or (was_asked and answer.status_code == 404):
         return None
+    detail, found = _told(answer)
+    if found and answer.status_code < 500:
+        return Refused(found, answer.status_code)
+    return ServiceError(f"{answer.url.netloc.decode()}: {detail}", answer.status_code)
+
+
+def _told(answer: httpx.Response) -> tuple[str, list[tuple[str, str, str]]]:
+    """What an answer says in words, and of each field; its status where it does not."""
     status = f"status {answer.status_code} {answer.reason_phrase}"
     try:
         answer.read()
         body = answer.json()
         detail = str(body.get("detail") or body.get("title") or status)
         listed = body.get("errors") or []
-        found = [(_field(e["pointer"]), str(e["value"]), str(e["allowed"])) for e in listed]
+        return detail, [(_field(e["pointer"]), str(e["value"]), str(e["allowed"])) for e in listed]
     except (ValueError, KeyError, TypeError, AttributeError):
-        detail, found = status, []
-    if found and answer.status_code < 500:
-        return Refused(found, answer.status_code)
-    return ServiceError(f"{answer.url.netloc.decode()}: {detail}", answer.status_code)
+        return status, []
 
 
 def _field(pointer: str) -> str:

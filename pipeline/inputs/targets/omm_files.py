@@ -124,12 +124,15 @@ def _from_kvn(text: str) -> Iterable[JsonObject]:
     sets: list[JsonObject] = []
     for line in text.splitlines():
         key, sign, value = line.partition("=")
-        key, value = key.strip(), value.strip()
-        if key != "OBJECT_NAME":  # which may hold brackets; those of a number hold its unit
-            value = value.partition("[")[0].strip()
+        key = key.strip()
         if not sign or key.startswith("COMMENT"):
             continue
         if key == "CCSDS_OMM_VERS" or not sets or (key == "OBJECT_NAME" and key in sets[-1]):
             sets.append({})
-        sets[-1][key] = value
+        sets[-1][key] = _kvn_value(key, value)
     return [s for s in sets if "MEAN_MOTION" in s or "EPOCH" in s]
+
+
+def _kvn_value(key: str, text: str) -> str:
+    """A value without its unit, which stands in brackets; a name may hold some of its own."""
+    return (text if key == "OBJECT_NAME" else text.partition("[")[0]).strip()
