@@ -45,6 +45,8 @@ class Remembered:
         with self._learning:
             index, values = self._known
             new = dict.fromkeys(moment for moment in moments if moment not in index)
+            if not new:  # another thread has learnt them meanwhile
+                return index, values
             if len(index) + len(new) > MOST:
                 index, new = {}, dict.fromkeys(moments)
             found = self._function(*np.array(list(new)).T)

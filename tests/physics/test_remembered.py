@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -52,6 +53,22 @@ def test_threads_that_learn_together_hear_the_truth() -> None:
     with ThreadPoolExecutor(8) as pool:
         for call, found in zip(calls, pool.map(lambda c: known(JD, c), calls), strict=True):
             np.testing.assert_array_equal(found, np.stack([JD + call, call], axis=-1))
+
+
+def test_threads_that_ask_for_the_same_moments_at_once_hear_them_once() -> None:
+    """Those that waited while another learnt them have nothing left to ask for."""
+    asked: list[int] = []
+
+    def slow(part1: np.ndarray, part2: np.ndarray) -> np.ndarray:
+        asked.append(len(part1))
+        time.sleep(0.2)
+        return part1 + part2
+
+    known, wanted = Remembered(slow), np.array([0.25, 0.5])
+    with ThreadPoolExecutor(4) as pool:
+        for found in pool.map(lambda _: known(JD, wanted), range(4)):
+            np.testing.assert_array_equal(found, JD + wanted)
+    assert asked == [2]
 
 
 def test_threads_hold_values_with_their_moments() -> None:

@@ -556,6 +556,18 @@ def test_no_pixel_takes_more_of_a_star_than_is_told(scene: Make, roll: float, px
     assert px > 1.0 or told <= 1.0
 
 
+@pytest.mark.parametrize(("sigma", "fill"), [(0.1, 0.5), (0.3, 0.25), (0.15, 0.9), (1.0, 0.5)])
+def test_a_pixel_with_gaps_may_take_all_of_a_sharp_star(
+    scene: Make, sigma: float, fill: float
+) -> None:
+    """A star in the middle of the collecting square, whose mean over places is the fill factor."""
+    s = scene({"sensor.psf": {"kind": "gaussian", "sigma_px": sigma}, "sensor.fill_factor": fill})
+    told = peak_share(facts_of(s).blur, camera_of(s), plan_geometry(s, np.arange(2), 0.0), True)
+    most = erf(0.5 * math.sqrt(fill) / (sigma * math.sqrt(2.0))) ** 2
+    assert most <= told * (1.0 + 1e-3)
+    assert told <= min(1.0, 1.8 * most)
+
+
 @pytest.mark.parametrize(
     ("shape", "frames", "asked", "count"),
     [([64, 64], 1, 3, 1), ([64, 64], 2, 3, 2), ([300, 600], 1, 9, 6), ([512, 512], 4, 3, 3)],

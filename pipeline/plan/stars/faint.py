@@ -62,13 +62,15 @@ def limits_g_mag() -> Array:
 def peak_share(blur: Blur, camera: Camera, g: Geometry, aberration: bool) -> float:
     """Upper bound of the share of a star's light that one pixel takes, in all frames looked at.
 
-    At rest: the integral of the modulus of the transfer function. On a straight streak that moves
-    at least L pixels an exposure everywhere, at most sqrt(2) / L, a pixel's diagonal.
+    At rest: the integral of the modulus of the transfer function, and at most all of it, also of a
+    pixel that collects on a part of its area: a sharp star may stand in the middle of that. On a
+    straight streak that moves at least L pixels an exposure everywhere, at most sqrt(2) / L, a
+    pixel's diagonal.
     """
     end = blur.band_limit(BAND_FLOOR)
     f = np.linspace(-end, end, FREQUENCIES)
     transfer = np.abs(blur.transfer(f[:, None], f[None, :]))
-    share = min(float(np.trapezoid(np.trapezoid(transfer, f), f)), blur.fill_factor)
+    share = min(float(np.trapezoid(np.trapezoid(transfer, f), f)), 1.0)
     (x0, y0), x1, y1 = camera.centre_px, camera.columns - 1.0, camera.rows - 1.0
     x, y = np.array([x0, 0.0, x1, 0.0, x1]), np.array([y0, 0.0, 0.0, y1, y1])
     paths = star_paths(camera, g, x, y, aberration)
