@@ -86,10 +86,10 @@ def check_tile(
 ) -> list[JsonObject]:
     """How far the light of a tile is from the reference in the cells that the plan checks.
 
-    light_e : (rows, columns) images whose sum is the light of all sources; noise_e : noise of the
-    pixels of a part of the tile. A cell's windows are around its brightest pixel, and where the
-    brightest source near it is expected to err most against the noise.
-    One record for each window.
+    light_e : (rows, columns) images whose sum is the light of all sources
+    noise_e : noise of the pixels of a part of the tile, in terms of that light
+    A cell's windows are around its brightest pixel, and where the brightest source near it is
+    expected to err most against the noise. One record for each window.
     """
     out = []
     for cell in cells_to_check(plan, int(g.frame[0]), tile):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, FrameStars, Geometry, SensorMaps
 from pipeline.execute.blocks import LightBlock
-from pipeline.execute.check import check_tile
+from pipeline.execute.check import Part, check_tile
 from pipeline.execute.detector import stream_place, tile_chain
 from pipeline.execute.guards import guard_mean
 from pipeline.execute.light import draw_stars, draw_targets
@@ -117,7 +117,14 @@ def _checked(
     plan: Plan, g: Geometry, tile: Tile, parts: list[FrameStars], found: _Collected, mean_e: Array
 ) -> list[JsonObject]:
     images = [image for name, image in found.light_e.items() if name in ("stars_e", "targets_e")]
-    return check_tile(plan, g, tile, parts, images, lambda part: noise_e(mean_e, found.chain, part))
+
+    def light_noise_e(part: Part) -> Array:
+        """The noise of a part's pixels as it is of their light, before the flat."""
+        flat = np.broadcast_to(found.chain.flat, mean_e.shape)[part]
+        with np.errstate(divide="ignore"):  # a pixel that takes no light errs by nothing
+            return np.asarray(noise_e(mean_e, found.chain, part) / flat)
+
+    return check_tile(plan, g, tile, parts, images, light_noise_e)
 
 
 def _collected(

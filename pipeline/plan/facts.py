@@ -43,7 +43,7 @@ class Facts:
     sigma_floor_e : noise of a quiet pixel that holds no source: photon noise of sky and dark where
         the scene draws it, read noise, quantisation
     quieter_e2 : how much less variance that is than a typical pixel's [e-^2]
-    budget_e : error that one approximation may make in such a pixel
+    budget_e : error of the light that one approximation may make in such a pixel
     field : the responses over the field; None where one serves it all
     brightest_e : light of the brightest source in the longest exposure; 0 where not known
     flat : typical response to light (median), which SNR counts
@@ -69,6 +69,16 @@ class Facts:
     quieter_e2: float = 0.0
     zero_e: float = -math.inf
     top_e: float = math.inf
+
+    @property
+    def light_floor_e(self) -> float:
+        """`sigma_floor_e` as errors of the light count against it, which a flat above 1 raises."""
+        return light_floor_e(self.sigma_floor_e, self.flat)
+
+
+def light_floor_e(sigma_e: float, flat: float) -> float:
+    """Noise of a pixel [e-] in terms of the light before its flat; at most as it is after it."""
+    return sigma_e / max(1.0, flat)
 
 
 def gather_facts(
@@ -107,8 +117,8 @@ def gather_facts(
     floor_e = noise_e(annulus_m2 * open_past_vanes(s))[1]
     limit = None
     if brightest_e > 0.0:
-        floor_e, photons = planned_floor_e(scene, floor_e), s.photon_noise
-        limit = NoiseLimit(brightest_e, floor_e, part_sigma(scene), photons)
+        floor_e = planned_floor_e(scene, light_floor_e(floor_e, flat))
+        limit = NoiseLimit(brightest_e, floor_e, part_sigma(scene), s.photon_noise)
     field = None
     if isinstance(s.psf, FieldPsf):
         from pipeline.plan.optics.psf_field import plan_psf_field
@@ -131,7 +141,7 @@ def gather_facts(
         dark_e=dark,
         read_noise_e=read_noise_e,
         sigma_floor_e=sigma,
-        budget_e=error_budget_e(scene, sigma),
+        budget_e=error_budget_e(scene, light_floor_e(sigma, flat)),
         field=field,
         brightest_e=brightest_e,
         flat=flat,
@@ -156,7 +166,7 @@ def noise_floor_e(
 
 
 def error_budget_e(scene: Scene, sigma_e: float) -> float:
-    """Error that one approximation may make in a pixel of this noise [e-]."""
+    """Error that one approximation may make of the light in a pixel of this noise [e-]."""
     return part_sigma(scene) * planned_floor_e(scene, sigma_e)
 
 

@@ -45,7 +45,7 @@ class PlanBasis:
         error_e = self.bounds_e.get(component, budget_e)
         if self.scene.sensor.photon_noise:  # of bright sources in a pixel, which raise its noise
             error_e = min(error_e, budget_e)
-        return error_e, error_e / self.facts.sigma_floor_e
+        return error_e, error_e / self.facts.light_floor_e
 
     @property
     def scene(self) -> Scene:

@@ -220,12 +220,13 @@ def _errors(plan: Plan, drawn: SourceBounds, checks: list[JsonObject]) -> JsonOb
     """What the product may err by, for the sources that were drawn, and what was found."""
     floor_e = plan.facts.sigma_floor_e
     brighter = drawn.brightest_e / (plan.brightest_e or math.inf)
-    decisions = for_sources(plan.decisions, drawn.errors_e, floor_e, brighter)
+    light_floor_e = plan.facts.light_floor_e
+    decisions = for_sources(plan.decisions, drawn.errors_e, light_floor_e, brighter)
     over_e = max(0.0, drawn.errors_e.get(TABLES, 0.0) - plan.responses.budget_e)
     return {
         "noise_floor_e": floor_e,
         "bound_of_all_approximations_e": total_e(decisions) + over_e,
-        "bound_of_all_approximations_sigma": total_sigma(decisions) + over_e / floor_e,
+        "bound_of_all_approximations_sigma": total_sigma(decisions) + over_e / light_floor_e,
         "asked_sigma": plan.scene.accuracy.noise_fraction,
         "light_left_out": plan.responses.lost_light,
         "common_streak_px": plan.responses.streaks.spread_px,

@@ -17,6 +17,7 @@ from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import file_digest
 from pipeline.errors import BadInput
 from pipeline.inputs.sensor.images import read_image
+from pipeline.plan.facts import light_floor_e
 from pipeline.spec.dotted import NoFieldError, set_dotted
 from pipeline.spec.load import InvalidScene, parse_scene, path_holders, place_paths
 from pipeline.spec.scene import Scene
@@ -151,7 +152,8 @@ def with_floor(course: Course, kept: Stages, scene: Scene) -> tuple[Scene, Base]
     """A point's scene as it is rendered, and the base that it shares with others.
 
     Where axes vary what the noise floor comes from, all points are planned for the quietest values
-    of those axes: then the same light is drawn with the same accuracy for all of them.
+    of those axes: then the same light is drawn with the same accuracy for all of them; but for
+    those whose flats raise its errors.
     """
     numbers = {
         name: course.floors.get(f"sensor.{name}", _typical(kept, scene, name))
@@ -159,24 +161,30 @@ def with_floor(course: Course, kept: Stages, scene: Scene) -> tuple[Scene, Base]
     }
     scale = course.floors.get("sensor.dark_scale", scene.sensor.dark_scale)
     numbers["dark_e_per_s"] *= scale
-    if course.floors and scene.accuracy.noise_floor_e is None:
-        darkest = {
-            name: course.floors.get(f"background.{name}", getattr(scene.background, name))
-            for name in ("uniform_e_per_s", "uniform_mag_arcsec2")
-            if scene.background is not None and getattr(scene.background, name) is not None
-        }
-        quiet = scene
-        if scene.background is not None:
-            sky = scene.background.model_copy(update=darkest)
-            quiet = scene.model_copy(update={"background": sky})
-        if not is_plain(scene):
-            least = {k.partition(".")[2]: v for k, v in course.floors.items() if k in FLOOR}
-            sensor = quiet.sensor.model_copy(update=least)
-            quiet = quiet.model_copy(update={"sensor": sensor})
-        floor = kept.base(without_noise(quiet, numbers)).plan.facts.sigma_floor_e
+    flat = _typical(kept, scene, "flat") if is_plain(scene) else 1.0  # that the base lacks
+    if (course.floors or flat > 1.0) and scene.accuracy.noise_floor_e is None:
+        facts = kept.base(without_noise(_quietest(course, scene), numbers)).plan.facts
+        floor = light_floor_e(facts.light_floor_e, flat)
         accuracy = scene.accuracy.model_copy(update={"noise_floor_e": floor})
         scene = scene.model_copy(update={"accuracy": accuracy})
     return scene, kept.base(without_noise(scene, numbers))
+
+
+def _quietest(course: Course, scene: Scene) -> Scene:
+    """The scene under the darkest sky of the axes; with a detector that shares nothing, its too."""
+    if scene.background is not None:
+        darkest = {
+            name: course.floors.get(f"background.{name}", getattr(scene.background, name))
+            for name in ("uniform_e_per_s", "uniform_mag_arcsec2")
+            if getattr(scene.background, name) is not None
+        }
+        sky = scene.background.model_copy(update=darkest)
+        scene = scene.model_copy(update={"background": sky})
+    if not is_plain(scene):
+        least = {k.partition(".")[2]: v for k, v in course.floors.items() if k in FLOOR}
+        sensor = scene.sensor.model_copy(update=least)
+        scene = scene.model_copy(update={"sensor": sensor})
+    return scene
 
 
 def _typical(kept: Stages, scene: Scene, name: str) -> float:

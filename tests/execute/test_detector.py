@@ -166,6 +166,30 @@ def plain(tmp_path_factory):
     return layers, layers["dn"], {d["component"] for d in plan_scene(one)["decisions"]}
 
 
+def test_errors_of_the_light_come_through_the_flat(tmp_path):
+    """As far as pixels err by it: what is found, what is stated, and what drawing may err by; a
+    column that takes no light errs by nothing."""
+    same = {"accuracy": {"noise_floor_e": 0.01}}  # the same light at every flat
+    image = np.full((320, 320), 40.0)
+    image[:, 7] = 0.0
+    np.save(tmp_path / "flat.npy", image)
+    found = {}
+    for flat in (1.0, 0.1, 40.0, str(tmp_path / "flat.npy")):
+        s = scene(sensor__flat=flat, sensor__read_noise_e=1e4, **same)
+        report = render(s, tmp_path / f"product-{len(found)}", Options("synchronous"))
+        found[flat] = report["errors"]
+    one = found[1.0]
+    for flat, raised in ((0.1, 0.1), (40.0, 40.0), (str(tmp_path / "flat.npy"), 40.0)):
+        errors = found[flat]
+        assert errors["achieved_error_e"] == pytest.approx(one["achieved_error_e"], rel=1e-9)
+        sigma = raised * one["achieved_error_sigma"]
+        assert errors["achieved_error_sigma"] == pytest.approx(sigma, rel=2e-3)
+        stated = max(1.0, raised) * one["bound_of_all_approximations_sigma"]
+        assert errors["bound_of_all_approximations_sigma"] == pytest.approx(stated, rel=0.05)
+    budgets = [prepare(scene(sensor__flat=f)).plan.facts.budget_e for f in (0.2, 1.0, 40.0)]
+    assert budgets == pytest.approx([budgets[1], budgets[1], budgets[1] / 40.0])
+
+
 def test_nothing_of_it_unless_asked_for(tmp_path):
     """An empty section changes no bit; without one a single line of the plan tells so."""
     render(scene(), tmp_path / "none")

@@ -37,6 +37,7 @@ CASES = {
     "target": [{"field": SPHERE, "values": [0.1, 0.6]},
                {"field": "sensor.bias_dn", "values": [100, 900.5]}],
     "time": [{"field": "exposure.integration_s", "values": [0.5, 1.0]}],
+    "flat": [{"field": "sensor.flat", "values": [1.0, 3.0]}],
     "optics": [{"kind": "table", "fields": ["sensor.aperture_m", "stars.faintest_g_mag"],
                 "rows": [[0.1, 15.0], [0.12, 14.0], [0.1, 14.0]]}],
 }  # fmt: skip
@@ -79,6 +80,17 @@ def test_what_a_point_may_err_by_stands_beside_its_time(more, sweep_file, tmp_pa
         assert row["achieved_error_sigma"] == pytest.approx(found, rel=1e-3)
         assert 0.0 < found <= row["error_bound_sigma"]
     assert rows[1]["error_bound_sigma"] > 3.0 * rows[0]["error_bound_sigma"]
+
+
+def test_what_a_point_may_err_by_grows_with_its_flat(sweep_file, tmp_path):
+    """Bound and error of the light that points share are told after each one's flat."""
+    axis = {"field": "sensor.flat", "values": [0.5, 5.0]}
+    path = sweep_file([axis], {"background": None}, metrics=["timing"])
+    for row in rows_of(path, tmp_path / "swept"):
+        scene = point_scene(path, row["point"])
+        alone = render(scene, tmp_path / str(row["point"]), Options("synchronous"))["errors"]
+        found, bound = row["achieved_error_sigma"], row["error_bound_sigma"]
+        assert 0.0 < alone["achieved_error_sigma"] <= found <= bound <= alone["asked_sigma"]
 
 
 @pytest.mark.parametrize("detector", [None, {"prnu": 0.01}], ids=["shared light", "own light"])

@@ -748,6 +748,20 @@ def test_the_darkest_sky_sets_the_floor_of_all_points_with_one(sweep_file):
     assert bright == dark == pytest.approx(math.sqrt(none**2 + 3000.0 * 0.5), rel=1e-6)
 
 
+def test_a_flat_above_one_lowers_the_floor_of_the_light(sweep_file, tmp_path):
+    """Errors of the light come through it as the light does."""
+    noise = {"stars": None, "background": None, "sensor.dark_e_per_s": 0.0}
+    alone = math.hypot(5.0, 2.0 / math.sqrt(12.0))
+    path = sweep_file([{"field": "sensor.flat", "values": [0.5, 4.0, 2.0]}], noise)
+    floors = [point_scene(path, k).accuracy.noise_floor_e for k in range(3)]
+    assert floors[1:] == pytest.approx([alone / 4.0, alone / 2.0], rel=1e-9)
+    assert floors[0] is None
+    np.save(tmp_path / "flat.npy", np.full((256, 256), 3.0))
+    flat = noise | {"sensor.flat": str(tmp_path / "flat.npy")}
+    path = sweep_file([{"field": "sensor.bias_dn", "values": [100, 200]}], flat)
+    assert point_scene(path, 1).accuracy.noise_floor_e == pytest.approx(alone / 3.0, rel=1e-9)
+
+
 def test_a_floor_that_the_scene_states_stays(sweep_file):
     """Whatever the axes vary: it is the user's own."""
     path = sweep_file([NOISE], SKY | {"accuracy": {"noise_floor_e": 3.25}})

@@ -157,7 +157,7 @@ def undrawn_remarks(scene: Scene, facts: Facts, fit: ColourFit | None) -> list[s
     pixel_m2_sr = facts.area_m2 * facts.ifov_rad**2 * scene.sensor.fill_factor
     rate = fit.zero_electrons_s_m2 * 10.0 ** (-0.4 * mag) * mean_light(limit) * pixel_m2_sr
     light_e = rate * integration_range_s(scene)[1]
-    if light_e <= scene.accuracy.noise_fraction * facts.sigma_floor_e:
+    if light_e <= scene.accuracy.noise_fraction * facts.light_floor_e:
         return []
     return [
         f"stars beyond G = {limit:g} (stars.faintest_g_mag) are neither drawn nor in the sky: "

@@ -120,7 +120,7 @@ def _random_motion(basis: PlanBasis) -> tuple[Decision, ...]:
             f"variance from exposure to exposure ({100 * plan.scatter:.2g}% rms){more}. The bound "
             "is four times these, in a pixel whose light equals the noise floor, for images of "
             f"{SHARPEST_PX:g} px rms or more",
-            plan.error_sigma * basis.facts.sigma_floor_e,
+            plan.error_sigma * basis.facts.light_floor_e,
             plan.error_sigma,
         ),
     )

@@ -69,7 +69,7 @@ def _wavelengths(basis: PlanBasis, band: BandOptics) -> Decision:
         f"the whole band ({band.error_of_one:.2g} with the mean wavelength alone); the same for "
         f"sources of all colours. The bound is beside a source of {brightest_e:.3g} e-"
     )
-    floor_e = facts.sigma_floor_e
+    floor_e = facts.light_floor_e
     sigma = band.error * brightest_e / floor_e
     if facts.brightest_e:
         ratio = brightest_e / facts.brightest_e
@@ -115,7 +115,7 @@ def _phases(basis: PlanBasis) -> Decision:
 def _streaks(basis: PlanBasis) -> list[Decision]:
     """How the stars' streaks and crowds are drawn."""
     r, facts = basis.resolved.responses, basis.facts
-    s, sigma_e, ends = r.streaks, facts.sigma_floor_e, basis.frames
+    s, sigma_e, ends = r.streaks, facts.light_floor_e, basis.frames
     if s.at_rest < math.inf:
         reason = (
             f"stars move by at most {s.longest_px:.2g} px in an exposure and are drawn as points, "
@@ -166,7 +166,7 @@ def _far_light(basis: PlanBasis) -> Iterator[Decision]:
     if r.spacing_px:
         yield from _wings(basis, bool(scene.targets or scene.populations))
     elif scene.stars is None or (engines is not None and not engines.tables):
-        yield core_ends(r, basis.brightest_e, basis.facts.sigma_floor_e)
+        yield core_ends(r, basis.brightest_e, basis.facts.light_floor_e)
 
 
 def core_ends(r: ResponsePlan, brightest_e: float, floor_e: float) -> Decision:
@@ -186,7 +186,7 @@ def core_ends(r: ResponsePlan, brightest_e: float, floor_e: float) -> Decision:
 
 
 def _wings(basis: PlanBasis, targets_there: bool) -> list[Decision]:
-    r, sigma_e = basis.resolved.responses, basis.facts.sigma_floor_e
+    r, sigma_e = basis.resolved.responses, basis.facts.light_floor_e
     budget, last = r.budget_e, r.classes[-1]
     limits = [c.brightest_e for c in r.classes[:-1]]
     limits = limits or [budget / last.wing_error]

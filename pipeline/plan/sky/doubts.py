@@ -219,7 +219,7 @@ def _little_twilight(
     """What is said of twilight that is not asked for, where it is more than the accuracy."""
     mag = _night().twilight_zenith_v_mag(up_rad)
     light_e = _light_e(scene, facts, response, mag)
-    if light_e <= scene.accuracy.noise_fraction * facts.sigma_floor_e:
+    if light_e <= scene.accuracy.noise_fraction * facts.light_floor_e:
         return []
     return [
         f"{where}: twilight, about V = {mag:.1f} per square arcsecond at the zenith or "
@@ -237,7 +237,7 @@ def _no_moonlight(
         return []
     mag = _night().moonlight_zenith_v_mag(up, seen.moon_fraction(k))
     light_e = _light_e(scene, facts, response, mag)
-    if light_e <= scene.accuracy.noise_fraction * facts.sigma_floor_e:
+    if light_e <= scene.accuracy.noise_fraction * facts.light_floor_e:
         return []
     return [
         f"the Moon at {up / DEG_RAD:.2f} deg of elevation (frame {seen.frame(k)}): moonlight, "

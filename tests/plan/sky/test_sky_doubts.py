@@ -538,7 +538,7 @@ def test_light_of_the_night_is_told_from_the_accuracy_on(
     """A tenth of a noise of 5 e-: of twilight, and of the Moon."""
     monkeypatch.setattr(of_sky, "_light_e", lambda *_: light_e)
     scene: Any = SimpleNamespace(background=None, accuracy=SimpleNamespace(noise_fraction=0.1))
-    facts: Any = SimpleNamespace(sigma_floor_e=5.0)
+    facts: Any = SimpleNamespace(light_floor_e=5.0)
     seen: Any = SimpleNamespace(
         moon=SimpleNamespace(elevation=np.array([0.5])),
         moon_fraction=lambda _: 1e-6,
