@@ -144,7 +144,8 @@ def clear_time_s(plan: Plan, g: Geometry) -> float:
     time_s = plan.integration_s(int(g.frame[0]))
     if plan.extinction is None:
         return time_s
-    return time_s * float(star_transmission(plan.extinction, g, g.attitude[0, [g.middle], 2])[0])
+    axis = g.attitude[0, [g.middle], 2]
+    return time_s * float(star_transmission(plan.extinction, plan.camera, g, axis)[0])
 
 
 def limiting_mag(plan: Plan, light_e: float, time_s: float) -> float | None:

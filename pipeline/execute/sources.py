@@ -100,7 +100,7 @@ def place_stars(
     if plan.camera.line_s:
         light = light * longer[which]
     if plan.extinction is not None:
-        light = light * star_transmission(plan.extinction, g, observed)
+        light = light * star_transmission(plan.extinction, plan.camera, g, observed)
     return FrameStars(
         kept.source_id,
         x,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,6 +32,7 @@ Array = NDArray[np.float64]
 
 USUAL_WAVELENGTH_M = 550e-9  # where the scene's own is not worked out yet
 MOST_WEATHER = 0.1  # by which pressure differs from the standard atmosphere's: extremes of records
+SAME_MEAN = 1e-6  # of stars' light: two means over an exposure that are one
 LOWEST_REFRACTED_DEG = 3.0  # below, the law of refraction is not known
 
 
@@ -129,12 +131,18 @@ def check_height(camera: Camera, attitude: Array, air: Array) -> None:
 
 def frame_sines(camera: Camera, attitude: Array, zenith: Array) -> Array:
     """Sines of the elevation (n, 9) of a frame's corners, middles of its edges, and middle."""
+    places = frame_places(camera)
+    u = np.stack([deproject(camera, a, *places) for a in attitude])
+    return np.clip(np.einsum("nki,ni->nk", u, zenith), -1.0, 1.0)
+
+
+def frame_places(camera: Camera) -> tuple[Array, Array]:
+    """Pixels x, y (9,) of a frame's corners, middles of its edges, and middle."""
     x, y = np.meshgrid(
         np.array([-0.5, 0.5 * (camera.columns - 1), camera.columns - 0.5]),
         np.array([-0.5, 0.5 * (camera.rows - 1), camera.rows - 0.5]),
     )
-    u = np.stack([deproject(camera, a, x.ravel(), y.ravel()) for a in attitude])
-    return np.clip(np.einsum("nki,ni->nk", u, zenith), -1.0, 1.0)
+    return x.ravel(), y.ravel()
 
 
 def above_air(g: Geometry, centres: Array, radii_rad: Array) -> tuple[Array, Array]:
@@ -148,19 +156,40 @@ def above_air(g: Geometry, centres: Array, radii_rad: Array) -> tuple[Array, Arr
     return unrefract(centres, air), radii
 
 
-def star_transmission(extinction: BandExtinction, g: Geometry, observed: Array) -> Array:
+def star_transmission(
+    extinction: BandExtinction, camera: Camera, g: Geometry, observed: Array
+) -> Array:
     """Share (n,) of stars' light that comes down in the one frame of `g`: mean of an exposure.
 
-    observed : (n, 3) at mid-exposure. Simpson's rule over its start, middle and end.
+    observed : (n, 3) at mid-exposure. Simpson's rule over its start, middle and end, or over all
+    nodes where that is another mean, to SAME_MEAN, anywhere around the frame.
     """
-    shares = [extinction.transmission(observed @ g.air[0, node, :3]) for node in (0, g.middle, -1)]
-    return (shares[0] + 4.0 * shares[1] + shares[2]) / 6.0
+    zenith = g.air[0, :, :3]
+    u = deproject(camera, g.attitude[0, g.middle], *frame_places(camera))
+    few, all_nodes = (
+        _mean(lambda k: extinction.transmission(u @ zenith[k]), g.nodes, moments)
+        for moments in (3, g.nodes)
+    )
+    moments = 3 if (np.abs(few - all_nodes) <= SAME_MEAN * all_nodes).all() else g.nodes
+    return _mean(lambda k: extinction.transmission(observed @ zenith[k]), g.nodes, moments)
+
+
+def _mean(value: Callable[[int], Array], nodes: int, moments: int) -> Array:
+    """The mean of what is known at the nodes of an exposure, by Simpson's rule over some."""
+    intervals = moments - 1
+    weights = [1.0, *(intervals // 2 - 1) * [4.0, 2.0], 4.0, 1.0]
+    total = sum(w * value(k * (nodes - 1) // intervals) for k, w in enumerate(weights))
+    return np.asarray(total / (3.0 * intervals))
 
 
 def path_transmission(
     extinction: BandExtinction, camera: Camera, g: Geometry, x_px: Array, y_px: Array
 ) -> Array:
-    """Share (K,) of a target's light that comes down at each node of the one frame of `g`."""
+    """Share (K,) of a target's light that comes down at each node of the one frame of `g`.
+
+    Under TDI a place moves with the charge; the light falls through the air of where it comes from.
+    """
+    y_px = y_px + camera.charge_px_s * (g.offset_s[0] - g.offset_s[0, g.middle])
     u = np.concatenate(
         [deproject(camera, a, x_px[[k]], y_px[[k]]) for k, a in enumerate(g.attitude[0])]
     )

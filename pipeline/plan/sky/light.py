@@ -51,7 +51,8 @@ class LightOfSky:
     Each part is light per solid angle in a direction, which `pixel_m2_sr` turns into a pixel's;
     light that comes as a rate of each pixel (`per_pixel`) is added to it.
     limit_g_mag : stars beyond it are left to the sky; None while that is not known: no star is
-    moments : of an exposure, over which the mean is taken; 3 at least where the camera turns
+    moments : of an exposure, over which the mean is taken; 3 at least where the camera turns or
+        the charge moves
     """
 
     scene: Scene
@@ -69,12 +70,33 @@ class LightOfSky:
     def _frame(self, g: Geometry, f: int, x: Array, y: Array) -> Array:
         """The mean over an exposure: its middle, or Simpson's rule over more moments."""
         turned = np.abs(g.attitude[f, 0, 2] - g.attitude[f, -1, 2]).max()
-        nodes = _simpson(max(3, self.moments) if turned > MOVED else self.moments, g.nodes)
-        total = sum(w * sum(self.parts(g, f, k, x, y).values()) for k, w in nodes.items())
-        light = total * self.pixel_m2_sr(x, y)
+        moves = turned > MOVED or self.camera.charge_px_s != 0.0
+        nodes = _simpson(max(3, self.moments) if moves else self.moments, g.nodes)
+        at = {k: self._charge_y(g, f, k, y) for k in nodes}
+        light = np.zeros(len(x))
+        if self.camera.charge_px_s:
+            for k, w in nodes.items():
+                share = w * self.pixel_m2_sr(x, at[k])
+                light = light + share * sum(self.parts(g, f, k, x, at[k]).values())
+        else:  # one pupil and solid angle for all moments
+            total = sum(w * sum(self.parts(g, f, k, x, y).values()) for k, w in nodes.items())
+            light = total * self.pixel_m2_sr(x, y)
         for k, w in nodes.items():
-            light = light + w * sum(self.per_pixel(g, f, k, x, y).values())
+            light = light + w * sum(self.per_pixel(g, f, k, x, at[k]).values())
         return light
+
+    def _charge_y(self, g: Geometry, f: int, node: int, y: Array) -> Array:
+        """Where the charge of pixels y (n,) stands at a node: under TDI it takes even steps along
+        as much of its way as is on the array."""
+        way = self.camera.charge_px_s * (g.offset_s[f] - g.offset_s[f, g.middle])
+        first = np.maximum(y + way[0], -0.5)
+        last = np.minimum(y + way[-1], self.camera.rows - 0.5)
+        return np.asarray(first + node / (g.nodes - 1) * (last - first))
+
+    @property
+    def even(self) -> bool:
+        """Whether its middle is the mean of an exposure: a uniform sky on charge that stands."""
+        return self.still and not self.camera.charge_px_s
 
     @property
     def still(self) -> bool:

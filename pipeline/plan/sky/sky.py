@@ -14,7 +14,7 @@ from pipeline.physics.positions.focal_plane import Camera, ifov_rad
 from pipeline.physics.sky.galactic import RELATIVE_ERROR
 from pipeline.physics.sky.grid import FrameGrid, at_nodes, light_at, refine, tile_light
 from pipeline.plan.decision import Decision
-from pipeline.plan.facts import Facts, error_budget_e
+from pipeline.plan.facts import Facts, error_budget_e, light_floor_e
 from pipeline.plan.pointing.geometry import plan_geometry, with_frames
 from pipeline.plan.pointing.turns import turning_frames
 from pipeline.plan.sky.inputs import SkyInputs
@@ -85,7 +85,7 @@ def plan_sky(
     """
     t = integration_range_s(scene)[1]
     light = LightOfSky(scene, camera, facts, inputs, None, dut1_s)
-    if light.still and not limit_from_noise:
+    if light.even and not limit_from_noise:
         geometry = geometry.frame_slice(0)
     else:
         geometry = _of_every_field(scene, geometry, dut1_s)
@@ -169,7 +169,7 @@ def _noise(facts: Facts, scene: Scene, sky_e_s: float) -> tuple[float, float]:
     if not scene.sensor.photon_noise:
         more = 0.0
     sigma = math.sqrt(max(facts.sigma_floor_e**2 + more, 0.0))
-    return sigma, error_budget_e(scene, sigma)
+    return sigma, error_budget_e(scene, light_floor_e(sigma, facts.flat))
 
 
 def _field(camera: Camera) -> tuple[Array, Array]:
@@ -208,7 +208,7 @@ def _over_exposures(
     """The light with as many moments as its mean over an exposure asks for, and what that errs by
     [e-/s and pixel], as found with more of them."""
     off = 0.0
-    if light.still or not np.ptp(g.offset_s):
+    if light.even or not np.ptp(g.offset_s):
         return light, off
     some = np.unique(np.linspace(0, len(g.frame) - 1, MOST_EXPOSURES).round().astype(int))
     found = _means(light, g, some, dut1_s)

@@ -8,10 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.physics.positions.focal_plane import Camera
+from pipeline.physics.positions.focal_plane import Camera, deproject
 from pipeline.physics.positions.refraction import standard_air
-from pipeline.plan.pointing.air import frame_sines, weather_of, weather_remarks
+from pipeline.physics.vectors import to_angles
+from pipeline.plan.pointing.air import (
+    frame_sines,
+    path_transmission,
+    star_transmission,
+    weather_of,
+    weather_remarks,
+)
 from pipeline.plan.pointing.decisions import _lift_arcsec
+from pipeline.plan.pointing.geometry import moments_at, plan_geometry
+from pipeline.plan.pointing.site import axes_of
+from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
 from pipeline.spec.pointing.observer import GroundObserver
 from tests.spec.test_limits import BASE
@@ -79,3 +89,60 @@ def test_a_boresight_is_lifted_by_the_cotangent_of_its_elevation() -> None:
         scene = parse_scene(BASE | {"observer": site, "pointing": local})
         lift = _lift_arcsec(scene, scene.pointing)
         assert lift == pytest.approx(wanted, rel=0.06, abs=1e-3)
+
+
+@pytest.mark.parametrize("rows_per_s", [0.0, 40.0])
+def test_light_comes_through_the_air_of_where_it_is_seen(rows_per_s: float) -> None:
+    """Also under TDI, where the charge that a target is drawn in moves on: its place is that of
+    the charge, the air is that of the target's own elevation (against its direction)."""
+    base = BASE | {
+        "observer": {"kind": "ground", "latitude_deg": 20.7, "longitude_deg": -156.3,
+                     "height_m": 0.0, "atmosphere": {"extinction": {"mag_per_airmass": 0.5}}},
+        "accept": ["daylight", "moon", "sun", "error"],
+        "pointing": {"mode": "local", "azimuth_deg": 180.0, "elevation_deg": 30.0},
+        "exposure": {"integration_s": 10.0},
+    }  # fmt: skip
+    base["sensor"] = base["sensor"] | {"shape": [512, 64], "focal_length_m": 0.05}
+    base["sensor"]["detector"] = {"readout": {"kind": "tdi", "rows_per_s": rows_per_s}}
+    if not rows_per_s:
+        del base["sensor"]["detector"]
+    plan = prepare(parse_scene(base)).plan
+    g = plan_geometry(plan.scene, np.array([0]), plan.dut1_s)
+    assert plan.extinction is not None
+    nodes = g.offset_s.shape[-1]
+    sky_y = np.linspace(100.0, 400.0, nodes)  # where it is seen
+    drawn_y = sky_y - rows_per_s * (g.offset_s[0] - g.offset_s[0, nodes // 2])
+    x = np.full(nodes, 30.0)
+    found = path_transmission(plan.extinction, plan.camera, g, x, drawn_y)
+    ends = [deproject(plan.camera, g.attitude[0, k], x[[k]], sky_y[[k]])[0] for k in range(nodes)]
+    sine = np.sum(np.array(ends) * g.air[0, :, :3], axis=-1)
+    assert found == pytest.approx(plan.extinction.transmission(sine), rel=1e-12)
+    assert np.ptp(found) > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("up_deg", "time_s"), [(4.0, 1800.0), (4.0, 3600.0), (10.0, 7200.0), (40.0, 60.0)]
+)
+def test_a_long_exposure_has_the_mean_of_the_air_on_its_way(up_deg: float, time_s: float) -> None:
+    """Of a star that rises from the horizon of the equator: against 2,001 moments."""
+    base = BASE | {
+        "observer": {"kind": "ground", "latitude_deg": 0.0, "longitude_deg": -156.3,
+                     "height_m": 0.0, "atmosphere": {"extinction": {"mag_per_airmass": 0.25}}},
+        "accept": ["daylight", "moon", "sun", "error"], "epoch": "2019-04-20T08:00:00Z",
+        "exposure": {"integration_s": time_s},
+    }  # fmt: skip
+    aim = {"mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0}
+    at = moments_at(parse_scene(base | {"pointing": aim}), 0.0, np.zeros(1))
+    north_east_up = axes_of(parse_scene(base | {"pointing": aim}).observer, at.times)[0]
+    up = np.radians(up_deg)
+    ra, dec = np.degrees(to_angles(np.cos(up) * north_east_up[1] + np.sin(up) * north_east_up[2]))
+    aim |= {"boresight_ra_deg": float(ra), "boresight_dec_deg": float(dec)}
+    plan = prepare(parse_scene(base | {"pointing": aim})).plan
+    g = plan_geometry(plan.scene, np.array([0]), plan.dut1_s)
+    assert plan.extinction is not None
+    star = g.attitude[0, [g.middle], 2]
+    found = star_transmission(plan.extinction, plan.camera, g, star)[0]
+    moments = moments_at(plan.scene, plan.dut1_s, np.linspace(0.0, time_s, 2001))
+    zenith = axes_of(plan.scene.observer, moments.times)[:, 2]
+    wanted = np.mean(plan.extinction.transmission(zenith @ star[0]))
+    assert found == pytest.approx(wanted, rel=3e-4)

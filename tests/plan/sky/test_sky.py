@@ -445,3 +445,33 @@ def test_the_background_of_the_facts_is_that_of_the_shortest_exposure(scene):
     found = facts_with_sky(facts, s, sky)
     assert found.background_e == pytest.approx(0.5 * sky.least_e_s)
     assert found.background_e_s == sky.least_e_s > 0.0
+
+
+@pytest.mark.parametrize("times_s", [(10.0,), (2.0, 10.0)])
+@pytest.mark.parametrize("rows_per_s", [20.0, 40.0])
+def test_under_tdi_a_pixel_collects_the_sky_of_its_charges_way(scene, rows_per_s, times_s):
+    """A uniform sky that fades to the edges as cos^4, over 60 degrees: its mean along as much of
+    the way as is on the array, by quadrature. Each dwell has its own way."""
+    pitch = np.radians(60.0 / 512)
+    still = {"stars": None, "background": {"uniform_mag_arcsec2": 17.0},
+             "sensor.focal_length_m": 10e-6 / pitch, "sensor.shape": [512, 64]}  # fmt: skip
+    stares, _, even, _ = planned(scene, still)
+    rows, image = np.arange(512.0), whole(stares, even)[:, 5]
+
+    def light(y):
+        return (1.0 + pitch**2 * ((5.0 - 31.5) ** 2 + (y - 255.5) ** 2)) ** -2
+
+    bright = image[100] / light(100.0)
+    np.testing.assert_allclose(image, bright * light(rows), rtol=1e-5)
+    moving = still | {"sensor.detector": {"readout": {"kind": "tdi", "rows_per_s": rows_per_s}}}
+    if len(times_s) > 1:
+        moving |= {"dwells": [{"frames": 1, "integration_s": t} for t in times_s]}
+    s, facts, sky, _ = planned(scene, moving)
+    for k, time_s in enumerate(times_s):
+        half = 0.5 * rows_per_s * time_s
+        first, last = np.maximum(rows - half, -0.5), np.minimum(rows + half, 511.5)
+        along = first[:, None] + (last - first)[:, None] * (np.arange(2000) + 0.5) / 2000.0
+        wanted = bright * light(along).mean(axis=1)
+        off_e = np.abs(whole(s, sky, k)[:, 5] - wanted).max() * time_s
+        assert off_e <= 0.02 * facts.sigma_floor_e + 1e-5 * image.max() * time_s
+        assert np.abs(wanted - image).max() * time_s > 10.0 * off_e
