@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array
 from pipeline.plan.accuracy import part_sigma
-from pipeline.plan.timing import frame_times, integration_range_s
+from pipeline.plan.timing import frame_count, frame_times, integration_range_s
 from pipeline.spec.pointing.attitude import (
     AttitudeModel,
 )
@@ -20,6 +20,7 @@ from pipeline.spec.scene import Scene
 FEWEST, MOST = 9, 1025  # nodes of a random path
 PER_PERIOD = 8  # nodes in a period of the fastest wave that is path
 LEFT_PX = 5e-3  # rms of an exposure's mean that blur may leave out
+TOGETHER = 1024  # frames that are looked at together
 SHARPEST_PX = 0.5  # rms of the images for which a wrong variance of blur is bounded
 
 
@@ -161,6 +162,19 @@ def random_motion_rad(scene: Scene, frames: NDArray[np.int64], nodes: int) -> Ar
             for j in range(states.shape[-1]):
                 out += states[..., j, None] * c[:, j]
     return _straight_between(out, nodes)
+
+
+def farthest_rad(scene: Scene) -> float:
+    """How far the random path takes the boresight from where it is aimed in any frame [rad]."""
+    plan, count = motion_plan(scene), frame_count(scene)
+    if plan is None:
+        return 0.0
+    most = 0.0
+    for first in range(0, count, TOGETHER):  # straight between nodes: the farthest is at one
+        frames = np.arange(first, min(first + TOGETHER, count))
+        moved = random_motion_rad(scene, frames, plan.nodes)
+        most = max(most, float(np.hypot(moved[..., 0], moved[..., 1]).max()))
+    return most
 
 
 def _straight_between(values: Array, nodes: int) -> Array:

@@ -18,6 +18,7 @@ from pipeline.physics.positions.times import elapsed_s, instants, parse_utc
 from pipeline.physics.vectors import separation
 from pipeline.plan.decision import Decision
 from pipeline.plan.pointing.air import air_of
+from pipeline.plan.pointing.attitude_motion import farthest_rad
 from pipeline.plan.pointing.geometry import camera_of, watch
 from pipeline.plan.targets.shared import screens_of, shared_told
 from pipeline.plan.timing import DwellPlan, dwell_plans
@@ -94,6 +95,7 @@ def look_of(scene: Scene, halo_px: float, dut1_s: float) -> SearchView:
     half = corner_radius(camera) + halo_px * stretch(camera) * ifov_rad(camera)
     if air_of(scene, instants(epoch, [0.0], dut1_s)) is not None:
         half += MOST_REFRACTION_RAD  # the screen knows no air
+    half += farthest_rad(scene)  # nor the random motion of the pointing
     turns = tuple(_turn_rad_s(scene, d, dut1_s) for d in dwells)
     return SearchView(scene, dut1_s, epoch, dwells, min(half, np.pi), turns)
 

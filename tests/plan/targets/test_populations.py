@@ -27,7 +27,7 @@ from pipeline.physics.vectors import separation, unit
 from pipeline.plan.bodies.paths import target_paths
 from pipeline.plan.bodies.sights import Moments
 from pipeline.plan.pointing.air import air_of
-from pipeline.plan.pointing.geometry import _observer, _vantage, camera_of
+from pipeline.plan.pointing.geometry import _observer, _vantage, camera_of, plan_geometry
 from pipeline.plan.pointing.pointing import attitudes
 from pipeline.plan.targets.populations import Sieve, look_of, whole_sky, with_members
 from pipeline.plan.timing import dwell_plans
@@ -141,6 +141,31 @@ def test_none_is_missed(pointing: str, tle: Path) -> None:
     of_each = [(inside & (which == k)).any(axis=1).sum() for k in range(len(spans))]
     assert min(of_each) >= 2
     assert len(found) < 3 * len(crossing) + 8 * len(spans)  # a circle about a square
+
+
+def test_none_is_missed_where_the_pointing_wanders(
+    tle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By ten degrees: against every satellite of the file as a target of its own."""
+    wanders = {"modes": [
+        {"kind": "markov", "axis": axis, "time_constant_s": 1e4, "rms_arcsec": 36_000.0}
+        for axis in "xy"
+    ]}  # fmt: skip
+    aim = {"mode": "sidereal", "boresight_ra_deg": 95.0, "boresight_dec_deg": 20.0}
+    s = scene(tle, pointing=aim | {"attitude": wanders}, accept=["sun", "daylight", "error"])
+    every = [
+        {"name": f"crowd-{one.number}", "orbit": one.orbit.model_dump(), "body": BALL}
+        for batch in population_files.element_sets(tle, "path") for one in batch
+    ]  # fmt: skip
+    whole = parse_scene(s.as_dict() | {"populations": [], "targets": every})
+    g = plan_geometry(whole, np.arange(3), 0.0)
+    with np.errstate(invalid="ignore"):
+        off = np.maximum(np.abs(g.target_x_px - 127.5), np.abs(g.target_y_px - 127.5))
+        inside = (off <= 128.0).any(axis=(1, 2))
+    crossing = {t.name for t, hit in zip(whole.targets, inside, strict=True) if hit}
+    assert crossing <= kept(s)
+    monkeypatch.setattr("pipeline.plan.targets.populations.farthest_rad", lambda scene: 0.0)
+    assert not crossing <= kept(s)
 
 
 def test_truth_lists_them_and_the_product_needs_no_file(
