@@ -114,7 +114,7 @@ def _of_stars(r: ResponsePlan, c: dict[str, np.ndarray]) -> SourceBounds:
 def _of_targets(plan: Plan, c: dict[str, np.ndarray]) -> SourceBounds:
     """Of the targets whose light reaches the frame; truth has the others, too."""
     r, (rows, columns) = plan.responses, plan.scene.sensor.shape
-    ends = np.array([c[f"{axis}_{end}_px"] for end in ("start", "end") for axis in "xy"])
+    ends = _ends_px(c)
     size = np.nan_to_num(c["radius_px"])
     beyond = plan.halo_px + r.reach_core_px + size
     with np.errstate(invalid="ignore"):
@@ -124,6 +124,19 @@ def _of_targets(plan: Plan, c: dict[str, np.ndarray]) -> SourceBounds:
     light_e, size, extended = (v[near] for v in (c["electrons"], size, c["extended"]))
     known = c["frame"][near], ends[:, near], light_e, size, extended
     return of_targets(r, targets_known(r, (rows, columns), *known))
+
+
+def _ends_px(c: dict[str, np.ndarray]) -> np.ndarray:
+    """Places (4, n), x and y where each target is first, then last: of one that is behind the
+    camera then, where it is in the middle of its exposure, or else at its other end."""
+    out = []
+    for end, other in (("start", "end"), ("end", "start")):
+        for axis in "xy":
+            place = c[f"{axis}_{end}_px"]
+            for instead in (c[f"{axis}_px"], c[f"{axis}_{other}_px"]):
+                place = np.where(np.isnan(place), instead, place)
+            out.append(place)
+    return np.array(out)
 
 
 def _empty(plan: Plan, kind: str) -> pa.Table:

@@ -269,6 +269,24 @@ def test_targets_whose_light_does_not_reach_the_frame_do_not_count() -> None:
     assert found.errors_e["targets.point_sources"] == pytest.approx(curvature * 10.0 * 0.01)
 
 
+@pytest.mark.parametrize("lost", [("start",), ("end",), ("start", ""), ("end", "")])
+def test_a_target_that_is_behind_the_camera_for_a_part_counts(lost: tuple[str, ...]) -> None:
+    """By where it is in the middle of its exposure, or at the end that is seen."""
+    plan = prepare(parse_scene(many())).plan
+    names = [f"{axis}_{part}px" for axis in "xy" for part in ("start_", "end_", "")]
+    columns = dict.fromkeys(names, np.array([100.0])) | {
+        "frame": np.zeros(1, int), "electrons": np.array([1e6]),
+        "radius_px": np.zeros(1), "extended": np.zeros(1, bool),
+    }  # fmt: skip
+    whole = _of_targets(plan, columns)
+    for name in names:
+        if name[2:].removesuffix("px").removesuffix("_") in lost:
+            columns[name] = np.array([np.nan])
+    found = _of_targets(plan, columns)
+    assert found.brightest_e == whole.brightest_e == 1e6
+    assert found.errors_e == whole.errors_e
+
+
 def test_streaking_targets_stand_in_the_middle_of_their_paths() -> None:
     """Half way between their first and last places, the fastest 3 px and more from either."""
     found = resolve(parse_scene(many()))
