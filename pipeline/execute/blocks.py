@@ -21,6 +21,7 @@ from pipeline.execute.sources import (
     place_targets,
     setting_stars,
     streaks,
+    too_short,
     whole_stars,
     zone_of,
 )
@@ -62,11 +63,11 @@ class LightBlock:
     crowd_limit_e: float
     wing_error_e: float
 
-    def in_crowd(self, light_e: Array) -> NDArray[np.bool_]:
+    def in_crowd(self, plan: Plan, stars: FrameStars, paths: list[Streak]) -> NDArray[np.bool_]:
         """Which stars (n,) are in the block's own image already."""
         if self.crowd_e is None:
-            return np.zeros(len(light_e), bool)
-        return light_e <= self.crowd_limit_e
+            return np.zeros(len(stars), bool)
+        return (stars.light_e <= self.crowd_limit_e) & ~too_short(plan, stars, paths)
 
 
 def plan_blocks(plan: Plan, most_stars: float) -> tuple[Tile, ...]:
@@ -178,9 +179,9 @@ def _crowd_sources(
 ) -> dict[Blur, list[Sources]]:
     """The stars of up to so much light, by the responses near a block that have a part in them."""
     groups: dict[Blur, list[Sources]] = {blur: [] for blur in near}
-    zones = zone_of(plan, stars.x_px, stars.y_px)
+    zones, short = zone_of(plan, stars.x_px, stars.y_px), too_short(plan, stars, paths)
     for zone in np.unique(zones):
-        mine, streak = (zones == zone) & (stars.light_e <= limit), paths[zone]
+        mine, streak = (zones == zone) & (stars.light_e <= limit) & ~short, paths[zone]
         x, y, light = stars.x_px[mine], stars.y_px[mine], stars.light_e[mine]
         for piece in streak.pieces:
             dx, dy = streak.at(piece.centre, x, y)

@@ -59,7 +59,7 @@ def draw_stars(
     else:
         for block in blocks:
             part = overlap(tile, block.place)
-            mine = select(stars, ~block.in_crowd(stars.light_e) & is_near(stars, part, reach))
+            mine = select(stars, ~block.in_crowd(plan, stars, paths) & is_near(stars, part, reach))
             piece = _cut(image, tile, part)
             _draw_stamps(plan, g, piece, part, paths, mine)
             if block.crowd_e is not None:
@@ -116,23 +116,30 @@ def _draw_stamps(
     zones, classes = zone_of(plan, stars.x_px, stars.y_px), class_of(plan, stars.light_e)
     crowd_e = crowd_light(stars.x_px, stars.y_px, stars.light_e)
     every = stars.x_px, stars.y_px, stars.light_e, crowd_e
-    fine: list[Streak] = []
-    finer = any(core.fine_phases for core in plan.responses.classes)
-    if finer and (stars.light_e > min(streak.own_from_e for streak in paths)).any():
-        fine = streaks(plan, g, plan.responses.streaks.finer)
+    fine = _in_more_pieces(plan, g, paths, stars)
     for k, core in enumerate(plan.responses.classes):
         for zone in np.unique(zones[classes == k]):
             mine = np.flatnonzero((classes == k) & (zones == zone))
-            bright = stars.light_e[mine] > paths[zone].own_from_e
+            bright = paths[zone].bright(*(v[mine] for v in every[:3]))
             some = _some(every, mine[~bright])
             _draw_pieces(plan, image, tile, k, core.phases, paths[zone], some)
             mine = mine[bright]
             if core.fine_phases and len(mine):
-                bright = stars.light_e[mine] > fine[zone].own_from_e
+                bright = fine[zone].bright(*(v[mine] for v in every[:3]))
                 some = _some(every, mine[~bright])
                 _draw_pieces(plan, image, tile, k, core.fine_phases, fine[zone], some, True)
                 mine = mine[bright]
             draw_along(plan, g, image, tile, select(stars, mine), paths)
+
+
+def _in_more_pieces(
+    plan: Plan, g: Geometry, paths: list[Streak], stars: FrameStars
+) -> list[Streak]:
+    """The zones' streaks in more pieces; none where no star needs them."""
+    limit_e = min(0.0 if streak.uneven else streak.own_from_e for streak in paths)
+    if not any(core.fine_phases for core in plan.responses.classes):
+        return []
+    return streaks(plan, g, plan.responses.streaks.finer) if (stars.light_e > limit_e).any() else []
 
 
 def _some(every: Light, which: NDArray[np.intp]) -> Light:

@@ -11,7 +11,7 @@ from catalog_tools.documents import JsonObject
 from pipeline.arrays import Geometry
 from pipeline.execute.blocks import target_class
 from pipeline.execute.sources import FrameTarget, place_targets, streaks
-from pipeline.execute.truth import brightest_pixel_e, matched_snr, target_magnitudes
+from pipeline.execute.truth import brightest_pixel_e, matched_snr, snr_of, target_magnitudes
 from pipeline.physics.drawing.quadrature import drawn_s
 from pipeline.physics.motion.streak import POINT
 from pipeline.plan.plan import Plan
@@ -112,8 +112,7 @@ def target_snr(plan: Plan, g: Geometry, names: tuple[str, ...]) -> dict[str, flo
     for t in place_targets(plan, g) if names else ():
         name = plan.scene.targets[t.index].name
         if name in out and _is_inside(plan, t):
-            at = np.array([t.light_e]), np.array([t.x_px]), np.array([t.y_px])
-            out[name] = float(matched_snr(plan, t.path, *at, int(g.frame[0]))[0])
+            out[name] = snr_of(plan, t, int(g.frame[0]))
     return out
 
 

@@ -12,9 +12,10 @@ from pipeline.arrays import Array, FrameStars, Geometry, StarTable, select
 from pipeline.execute.guards import LOOKED_AT, guard_places
 from pipeline.physics.motion.streak import Path, curve_through, densest_share, within
 from pipeline.physics.positions.apparent import star_astrometric, star_proper
-from pipeline.physics.positions.focal_plane import project
+from pipeline.physics.positions.focal_plane import deproject, project
 from pipeline.physics.positions.refraction import refract
 from pipeline.physics.targets.disc import Appearance, Sphere, photocentre_offset
+from pipeline.physics.targets.off_axis import OffAxis, Perspective
 from pipeline.physics.vectors import from_angles, to_angles
 from pipeline.plan.bodies.sizes import limb_px
 from pipeline.plan.optics.pupil import pupil_along, pupil_fraction
@@ -35,6 +36,9 @@ from pipeline.spec.targets.body import SphereBody
 from pipeline.spec.targets.mesh import MeshBody
 
 POINT_RADIUS_PX = 1e-4  # smaller bodies are points whatever their light
+UNMOVED = 0.01  # of a part's budget, up to which a sphere is drawn as in the middle of the field
+STEP_PX = 0.125  # beside a body's middle, where its stretch is looked at
+MIDDLE = Perspective(1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 SQUARE_PX = 64.0  # stars are drawn square by square, so that a stamp's pixels stay in the cache
 
 
@@ -214,6 +218,19 @@ def streaks(plan: ResolvedScene, g: Geometry, streaks: StreakPlan | None = None)
     ]
 
 
+def too_short(plan: ResolvedScene, stars: FrameStars, paths: list[Streak]) -> NDArray[np.bool_]:
+    """Which stars (n,) are bright for their own short streak in an uneven zone."""
+    out = np.zeros(len(stars), bool)
+    if not any(streak.uneven for streak in paths):
+        return out
+    zones = zone_of(plan, stars.x_px, stars.y_px)
+    for zone in np.unique(zones):
+        mine = zones == zone
+        if paths[zone].uneven:
+            out[mine] = paths[zone].bright(stars.x_px[mine], stars.y_px[mine], stars.light_e[mine])
+    return out
+
+
 def zone_of(plan: ResolvedScene, x_px: Array, y_px: Array) -> np.ndarray:
     """Zone number (n,) of places; those off the frame belong to the nearest zone."""
     zones = plan.responses.streaks.zones
@@ -367,18 +384,46 @@ def _seen(plan: ResolvedScene, g: Geometry, target: FrameTarget) -> FrameTarget:
     if radius < POINT_RADIUS_PX:
         return replace(target, radius_px=radius)
     phase = min(math.pi, max(0.0, float(g.target_phase_rad[target.index, 0, g.middle])))
-    angle = _sun_angle(g, target.index, distance)
-    if target.light_e * point_curvature(plan.responses.blur) * radius**2 > plan.responses.budget_e:
-        return replace(target, radius_px=radius, body=Sphere(radius, phase, angle))
+    blur, budget_e = plan.responses.blur, plan.responses.budget_e
+    sphere: Appearance = Sphere(radius, phase)
+    axes, perspective = _perspective_at(plan, g, target)
+    stretch = perspective.stretch(sphere.box)
+    blur, budget_e = plan.responses.blur, plan.responses.budget_e
+    moved_px = radius * max(abs(perspective.xx - 1.0), abs(stretch - 1.0))
+    if not UNMOVED * budget_e < target.light_e * point_slope(blur) * moved_px < math.inf:
+        perspective, stretch, axes = MIDDLE, 1.0, g.attitude[0, g.middle]
+    angle, limb = _sun_angle(g, target.index, distance, axes), radius * stretch
+    if target.light_e * point_curvature(blur) * limb**2 > budget_e:
+        sphere = Sphere(radius, phase, angle)
+        seen = sphere if perspective is MIDDLE else OffAxis(sphere, perspective)
+        return replace(target, radius_px=limb, body=seen)
     off = float(photocentre_offset(radius, phase))
-    x, y = target.x_px + off * math.cos(angle), target.y_px + off * math.sin(angle)
-    return replace(target, x_px=x, y_px=y, radius_px=radius)
+    x, y = perspective.forward(off * math.cos(angle), off * math.sin(angle))
+    return replace(target, x_px=target.x_px + x, y_px=target.y_px + y, radius_px=limb)
 
 
-def _sun_angle(g: Geometry, index: int, distance_m: float) -> float:
-    """Direction of the Sun as seen at a target, from +x (columns) towards +y (rows) [rad]."""
+def _perspective_at(
+    plan: ResolvedScene, g: Geometry, target: FrameTarget
+) -> tuple[Array, Perspective]:
+    """The camera's axes (3, 3) turned to a target at mid-exposure, and how it shows what lies
+    across the line of sight there: gnomonic, with its distortion as it is at that place."""
+    attitude, ifov = g.attitude[0, g.middle], plan.facts.ifov_rad
+    towards = deproject(plan.camera, attitude, np.array([target.x_px]), np.array([target.y_px]))[0]
+    forward = float(attitude[2] @ towards)
+    turned = attitude[:2] @ towards / (1.0 + forward)
+    across = attitude[:2] - turned[:, None] * (towards + attitude[2])
+    step = STEP_PX * ifov * np.concatenate([across, -across])
+    x, y = project(plan.camera, attitude, towards + step)
+    xx, xy, yx, yy = (np.concatenate([x[:2] - x[2:], y[:2] - y[2:]]) / (2.0 * STEP_PX)).tolist()
+    wx, wy = (across @ attitude[2] * (ifov / forward)).tolist()
+    return np.vstack([across, towards]), Perspective(xx, xy, yx, yy, wx, wy)
+
+
+def _sun_angle(g: Geometry, index: int, distance_m: float, axes: Array) -> float:
+    """Direction of the Sun as seen at a target, from the first of three axes (3, 3) towards the
+    second: +x (columns) and +y (rows) [rad]."""
     towards = g.target_direction[index, 0]
     place = g.observer_m[0, g.middle] + distance_m * towards
     sun = g.sun_m[0, g.middle] - place
-    x, y, _ = g.attitude[0, g.middle] @ (sun - (sun @ towards) * towards)
+    x, y, _ = axes @ (sun - (sun @ towards) * towards)
     return math.atan2(float(y), float(x))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry
+from pipeline.execute.body_pixels import body_pixels
 from pipeline.execute.sources import (
     FrameTarget,
     place_targets,
@@ -27,12 +28,12 @@ from pipeline.physics.positions.focal_plane import deproject
 from pipeline.physics.positions.refraction import unrefract
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import stamp_at
+from pipeline.physics.targets.disc import Appearance
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.occultation import hidden_by, targets_seen
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.streaks import Streak
-from pipeline.plan.response.zones import biquadratic
 
 Columns = dict[str, Any]
 
@@ -40,7 +41,6 @@ ROW = 1 << 32  # from a pixel's number to that of the one above it
 MOST_PIECES = 256  # of a path whose SNR counts each of its pixels once
 MOST_VALUES = 1 << 22  # of a streak's pixels at several lights, held at a time
 LENGTHS, ALIKE = 9, 0.01  # of streaks, by whose arcsinh SNR is tabulated where it differs by more
-MOST_NODES = 17  # by which the length of a streak is taken
 
 
 def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
@@ -66,7 +66,7 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         i, path = star.index, star.path
         ends[:, i] = path.x_px[0], path.y_px[0], path.x_px[-1], path.y_px[-1]
         light[:, i] = np.array(_centroid(star)) - (star.x_px, star.y_px)
-        snr[i] = _snr_of(plan, star, int(g.frame[0]))
+        snr[i] = snr_of(plan, star, int(g.frame[0]))
     rows, columns = plan.camera.rows, plan.camera.columns
     inside = (np.abs(stars.x_px - (columns - 1) / 2) <= columns / 2) & (
         np.abs(stars.y_px - (rows - 1) / 2) <= rows / 2
@@ -108,15 +108,14 @@ def _star_snr(
     length_px = np.zeros(len(stars))
     for zone in np.unique(zones):
         mine = zones == zone
-        length_px[mine] = _lengths_px(paths[zone], stars.x_px[mine], stars.y_px[mine])
+        length_px[mine] = paths[zone].lengths_px(stars.x_px[mine], stars.y_px[mine])
     scale = np.arcsinh(length_px)
     if not len(scale) or np.ptp(scale) <= ALIKE:
         return matched_snr(plan, paths[len(paths) // 2].path, *sources, frame)
-    longest = max(paths, key=lambda s: s.path.length_px)
-    whole_px = float(_lengths_px(longest, *longest.zone.places(np.zeros(1), np.zeros(1)))[0])
+    path, whole_px = _scaled_path(paths, zones, stars, length_px)
     nodes = np.linspace(scale.min(), scale.max(), LENGTHS)
     found = np.array([
-        matched_snr(plan, longest.path.scaled(math.sinh(node) / whole_px), *sources, frame)
+        matched_snr(plan, path.scaled(math.sinh(node) / whole_px), *sources, frame)
         for node in nodes
     ])  # fmt: skip
     at = (scale - nodes[0]) / (nodes[1] - nodes[0])
@@ -129,12 +128,18 @@ def _star_snr(
     return np.where(lit, np.exp((1.0 - share) * one + share * other), 0.0)
 
 
-def _lengths_px(streak: Streak, x_px: Array, y_px: Array) -> Array:
-    """Lengths (n,) of the streaks of stars of a zone, by MOST_NODES places along each at most."""
-    u, v = streak.zone.uv(x_px, y_px)
-    nodes = np.unique(np.linspace(0, len(streak.followed) - 1, MOST_NODES).astype(np.intp))
-    places = np.array([biquadratic(streak.followed[k], u, v) for k in nodes])
-    return np.asarray(np.hypot(*np.diff(places, axis=0).swapaxes(0, 1)).sum(axis=0))
+def _scaled_path(
+    paths: list[Streak], zones: NDArray[np.intp], stars: FrameStars, length_px: Array
+) -> tuple[Path, float]:
+    """The path that stands for all lengths, and its own: the longest of the zones' middles, or in a
+    field that turns about one of them that of the star (n,) with the longest."""
+    longest = max(paths, key=lambda s: s.path.length_px)
+    whole_px = float(longest.lengths_px(*longest.zone.places(np.zeros(1), np.zeros(1)))[0])
+    i = int(np.argmax(length_px))
+    if 2.0 * whole_px >= length_px[i]:
+        return longest.path, whole_px
+    x, y = paths[zones[i]].places_px(stars.x_px[[i]], stars.y_px[[i]])[:, :, 0].T
+    return Path(x, y, np.full(len(x) - 1, 1.0 / (len(x) - 1))), float(length_px[i])
 
 
 def _hidden(plan: ResolvedScene, seen: Array) -> Columns:
@@ -180,7 +185,7 @@ def target_truth(plan: ResolvedScene, g: Geometry, everywhere: bool = True) -> C
     ra, dec = to_angles(direction)
     apparent_ra, apparent_dec = to_angles(g.target_direction[:, 0])
     near, frame = set(reaching(plan, g)), int(g.frame[0])
-    snr = _each(shown, lambda t: _snr_of(plan, t, frame) if t.index in near else 0.0)
+    snr = _each(shown, lambda t: snr_of(plan, t, frame) if t.index in near else 0.0)
     centroid = np.array([_centroid(t) for t in shown]).reshape(-1, 2)
     v_mag, mag_ab = target_magnitudes(plan, g)
     x, y = g.target_x_px[:, 0], g.target_y_px[:, 0]
@@ -268,18 +273,25 @@ def _centroid(t: FrameTarget | None) -> tuple[float, float]:
     return t.x_px + at[0] + off_x, t.y_px + at[1] + off_y
 
 
-def _snr_of(plan: ResolvedScene, t: FrameTarget, frame: int) -> float:
-    """Signal-to-noise of one target."""
+def snr_of(plan: ResolvedScene, t: FrameTarget, frame: int) -> float:
+    """Signal-to-noise of one target, of a body by the pixels of its picture."""
     at = np.array([t.light_e]), np.array([t.x_px]), np.array([t.y_px])
-    return float(matched_snr(plan, t.path, *at, frame)[0])
+    return float(matched_snr(plan, t.path, *at, frame, t.body)[0])
 
 
 def matched_snr(
-    plan: ResolvedScene, path: Path, light_e: Array, x_px: Array, y_px: Array, frame: int = 0
+    plan: ResolvedScene,
+    path: Path,
+    light_e: Array,
+    x_px: Array,
+    y_px: Array,
+    frame: int = 0,
+    body: Appearance | None = None,
 ) -> Array:
     """Signal-to-noise of isolated sources under a matched filter, (n,); places in frame pixels.
 
-    SNR^2 = sum (F p)^2 / (sigma0^2 + F p) over the pixels of the source's own response p; F light,
+    SNR^2 = sum (F p)^2 / (sigma0^2 + F p) over the pixels of the source's own response p, spread
+    over its picture where it is a body that shows its size; F light,
     sigma0 the noise of a pixel without it, with the frame's own integration time and its sky at the
     source's place; light and sky after the typical flat, the detector's noise and dark those of a
     typical pixel; without photon noise sigma0 alone. Evaluated on a grid of log F / sigma0^2 and
@@ -288,32 +300,35 @@ def matched_snr(
     """
     snr, floor_e2 = np.zeros(len(light_e)), plan.snr_floor_e2(frame, x_px, y_px)
     for blur, which, share in plan.responses.parts(x_px, y_px, np.ones(len(light_e))):
-        snr[which] += share * _matched_snr(plan, blur, path, light_e[which], floor_e2[which])
+        snr[which] += share * _matched_snr(
+            plan, _response_at_centre(plan, blur, path, body), light_e[which], floor_e2[which]
+        )
     return snr
 
 
 def brightest_pixel_e(plan: ResolvedScene, t: FrameTarget, frame: int) -> float:
     """Charge [e-] that a target leaves in its brightest pixel, with what is there without it: as if
-    pixels held any charge. At one phase of its response, as its SNR; a disc is even."""
+    pixels held any charge. At one phase of its response, as its SNR."""
     at = np.array([t.light_e]), np.array([t.x_px]), np.array([t.y_px])
-    peak_e, even = float(plan.empty_e(plan.sky_e_s(frame, *at[1:]), frame)[0]), 1.0
-    if t.body is not None:
-        y0, y1, x0, x1 = t.body.box
-        even = 1.0 / max(1.0, 0.25 * math.pi * (y1 - y0) * (x1 - x0))
+    peak_e = float(plan.empty_e(plan.sky_e_s(frame, *at[1:]), frame)[0])
     for blur, _, share in plan.responses.parts(at[1], at[2], plan.facts.flat * at[0]):
-        brightest = float(_response_at_centre(plan, blur, t.path)[0].max())
-        peak_e += float(share[0]) * min(even, brightest)
+        peak_e += float(share[0]) * float(_response_at_centre(plan, blur, t.path, t.body)[0].max())
     return peak_e
 
 
 def _matched_snr(
-    plan: ResolvedScene, blur: Blur, path: Path, light_e: Array, floor_e2: Array
+    plan: ResolvedScene,
+    seen: tuple[Array, Array | float],
+    light_e: Array,
+    floor_e2: Array,
 ) -> Array:
-    """Signal-to-noise (n,) of sources that one response draws, before noise of these variances.
+    """Signal-to-noise (n,) of sources, before noise of these variances.
+
+    seen : the values of one response's pixels, and how often each of them occurs
 
     That of light F before sigma0 is sigma0 times that of F / sigma0^2 before 1: one curve for all.
     """
-    response, times = _response_at_centre(plan, blur, path)
+    response, times = seen
     lit = light_e > 0.0
     if not lit.any():
         return np.zeros(len(light_e))
@@ -331,12 +346,14 @@ def _matched_snr(
     return np.where(lit, np.sqrt(floor_e2) * np.exp(np.interp(at, grid, np.log(snr))), 0.0)
 
 
-def _response_at_centre(plan: ResolvedScene, blur: Blur, path: Path) -> tuple[Array, Array | float]:
+def _response_at_centre(
+    plan: ResolvedScene, blur: Blur, path: Path, body: Appearance | None = None
+) -> tuple[Array, Array | float]:
     """Pixel values (m,) of the core response for a source swept along a path, at one phase, and
     how often each of them occurs.
 
     Of a path of more than MOST_PIECES pieces each different one is drawn once, by itself: their
-    ends, where two of them share pixels, are a small part of it.
+    ends, where two of them share pixels, are a small part of it, and so is the size of a body.
     """
     radius = plan.responses.usual_px
     counts = piece_counts(path)
@@ -344,7 +361,8 @@ def _response_at_centre(plan: ResolvedScene, blur: Blur, path: Path) -> tuple[Ar
         values = [share * _kept(blur, radius, piece)[2] for piece, share, _ in counts]
         times = [np.full(len(v), float(n)) for v, (*_, n) in zip(values, counts, strict=True)]
         return np.concatenate(values), np.concatenate(times)
-    return lit_pixels(plan, blur, path)[1], 1.0
+    number, value = lit_pixels(plan, blur, path)
+    return (value, 1.0) if body is None else body_pixels(body, *rows_and_columns(number), value)
 
 
 def lit_pixels(

@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.special import erf
 
 from pipeline.execute import truth
-from pipeline.execute.sources import FrameTarget
-from pipeline.execute.truth import matched_snr, star_truth, target_truth
+from pipeline.execute.light import draw_targets
+from pipeline.execute.outlook import target_snr
+from pipeline.execute.sources import FrameTarget, place_targets
+from pipeline.execute.truth import brightest_pixel_e, matched_snr, star_truth, target_truth
 from pipeline.physics.motion.streak import POINT, Path, straight
 from pipeline.physics.radiometry import box
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.response.streaks import Streak, exact_path
 from pipeline.plan.response.zones import Zone
 from pipeline.plan.sky.sky import SkyPlan, facts_with_sky
+from pipeline.plan.tiles import Tile
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
 from tests.execute.test_engines import SIDE, field, geometry_of, plan_of
 from tests.execute.test_truth_magnitudes import scene
+from tests.physics.targets.test_off_axis import scene_of
 from tests.plans import plan_from
 
 GAUSSIAN = {"kind": "gaussian", "sigma_px": 1.0}
@@ -45,9 +49,9 @@ def test_a_bent_streak_is_as_long_as_its_bend() -> None:
     followed[:, 0], followed[:, 1] = (
         v[:, None, None] for v in (100.0 * np.cos(turn), 100.0 * np.sin(turn))
     )
-    streak = SimpleNamespace(followed=followed, zone=Zone(0.0, 9.0, 0.0, 9.0))
+    streak = Streak(Zone(0.0, 9.0, 0.0, 9.0), POINT, (), followed, 1.0)
     at = np.array([2.0, 5.0])
-    found = truth._lengths_px(streak, at, at)  # type: ignore[arg-type]
+    found = streak.lengths_px(at, at)
     np.testing.assert_allclose(found, np.pi * 100.0, rtol=2e-3)
 
 
@@ -161,3 +165,46 @@ def test_light_is_centred_by_what_each_part_of_a_path_has_of_it() -> None:
     path = Path(np.array([-3.0, 1.0, 5.0]), np.array([0.0, 2.0, 2.0]), np.array([0.25, 0.75]))
     found = truth._centroid(FrameTarget(0, 60.0, 50.0, path, 9.0))
     assert found == pytest.approx((60.0 - 0.25 + 2.25, 50.0 + 0.25 + 1.5))
+
+
+@pytest.mark.parametrize(("side", "roll_deg"), [(160, 5.0), (160, 20.0), (300, 5.0)])
+def test_snr_in_a_turning_field_is_that_of_each_stars_own_path(side: int, roll_deg: float) -> None:
+    """The star in the middle stands still, also where its path is that of the whole zone."""
+    plan = plan_of(GAUSSIAN, 0.0, 0.0, roll_deg=roll_deg, side=side)
+    g, at = geometry_of(plan), np.array([side / 2 - 0.5, 0.75 * side, side - 5.0])
+    told = star_truth(plan, g, field(at, at, np.full(3, 200.0)))["snr"]
+    paths = [exact_path(plan.camera, g, v, v, True) for v in at.tolist()]
+    own = [
+        float(matched_snr(plan, path, *(np.array([v]) for v in (200.0, x, x)))[0])
+        for path, x in zip(paths, at.tolist(), strict=True)
+    ]
+    assert told == pytest.approx(own, rel=0.01)
+    assert own[2] < 0.75 * own[0]
+
+
+@pytest.mark.parametrize(
+    ("range_m", "time_s"), [(500.0, 1e-7), (500.0, 1e-5), (2000.0, 1e-5), (30.0, 1e-8)]
+)
+def test_snr_of_a_body_is_that_of_the_pixels_of_its_picture(range_m: float, time_s: float) -> None:
+    """Of a sphere of 1 m, from 5 to 330 px in radius: against the image that is drawn. It was
+    that of a point, 5 times too much for faint ones."""
+    data = scene_of(0.0, False, 1.0)
+    data["sensor"] |= {"focal_length_m": 0.2, "shape": [256, 256]}
+    data["pointing"] = {"mode": "target", "target": "t"}
+    data["exposure"]["integration_s"] = time_s
+    data["targets"][0]["orbit"]["position_m"] = [7e6, -range_m, 0.0]
+    plan = prepare(parse_scene(data)).plan
+    g = plan_geometry(plan.scene, np.array([0]), plan.dut1_s)
+    (t,) = place_targets(plan, g)
+    assert t.body is not None
+    side = 256 if range_m > 100.0 else 800
+    corner = int(0.5 * (256 - side))
+    image = draw_targets(plan, g, Tile(0, 0, corner, corner, side, side), [])
+    floor_e2 = float(plan.snr_floor_e2(0, np.array([t.x_px]), np.array([t.y_px]))[0])
+    light = np.maximum(image, 0.0)
+    wanted = math.sqrt(float(np.sum(light**2 / (floor_e2 + light))))
+    told = target_truth(plan, g)
+    assert told["snr"][0] == pytest.approx(wanted, rel=0.02)
+    assert target_snr(plan, g, ("t",))["t"] == told["snr"][0]
+    brightest = float(image.max()) + float(plan.empty_e(0.0)[()])
+    assert brightest_pixel_e(plan, t, 0) == pytest.approx(brightest, rel=0.1)

@@ -8,8 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from pipeline.execute.blocks import render_block
 from pipeline.execute.check import reference
-from pipeline.execute.sources import zone_of
+from pipeline.execute.light import draw_stars
+from pipeline.execute.sources import streaks, zone_of
 from pipeline.physics.drawing.wings import swept_apart
 from pipeline.physics.psf.response import compact_core
 from pipeline.plan.plan import Plan
@@ -129,3 +131,26 @@ def test_a_place_has_the_number_of_the_zone_that_it_lies_in():
         assert (zone_of(plan, x, y) == number).all()
     beside = zone_of(plan, np.array([-9.0, 99.0, 30.0, 30.0]), np.array([4.0, 4.0, -9.0, 99.0]))
     assert beside.tolist() == [3, 5, 1, 7]
+
+
+@pytest.mark.parametrize(("side", "roll_deg", "together"),
+                         [(300, 20.0, False), (500, 40.0, False), (300, 20.0, True)])  # fmt: skip
+def test_stars_near_the_centre_of_a_turn_hold_the_bound(side, roll_deg, together):
+    """In a corner of four zones, whose middles streak by 37 and 123 px: stars as bright as may be
+    drawn by the zone's, which had all of their light in one pixel."""
+    plan = plan_of({"kind": "gaussian", "sigma_px": 0.5}, 0.0, 0.0, roll_deg=roll_deg, side=side)
+    g, middle = geometry_of(plan), 0.5 * side - 0.5
+    limit = min(path.own_from_e for path in streaks(plan, g))
+    told = next(d for d in plan.decisions if d.component == "common_streak").error_bound_e
+    tile = Tile(0, 0, 0, 0, side, side)
+    window = Tile(0, 0, int(middle) - 12, int(middle) - 12, 25, 25)
+    for off in (0.3, 4.0):
+        at = np.array([middle + off])
+        stars = field(at, at, np.array([0.99 * limit]))
+        drawing = replace(plan, responses=replace(plan.responses, spectral_from=int(together)))
+        blocks = [render_block(drawing, g, tile, [stars])] if together else []
+        assert not together or blocks[0].crowd_e is not None
+        image = draw_stars(drawing, g, tile, [stars], blocks)
+        exact, _ = reference(plan, g, window, stars)
+        part = image[window.y0 : window.y0 + 25, window.x0 : window.x0 + 25]
+        assert np.abs(part - exact).max() <= told

@@ -13,6 +13,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, path_through
@@ -39,6 +40,7 @@ SPREAD_TOLERANCE_PX = 4e-3
 MOST_PIECES, MOST_OF_A_FRAME = 16, 1024  # that plans ask for; of frames that turn more than theirs
 SHORTEST_PIECE_PX, FINER_SHAPE = 2.0, 4.0  # of those of bright stars; times finer are these rounded
 ROUNDED = 2.2e-16  # rad: what directions are rounded to, in float64
+MOST_NODES = 17  # by which the length of a star's streak is taken
 SLACK = 1.5  # over what the plan knows of some frames: what others may differ or be longer by
 SHOWN = 0.02  # of the budget: what merging the nodes of own paths may err by
 POINTS = 0.25  # and what the table of the points may, that such paths are drawn as
@@ -65,6 +67,8 @@ class Streak:
     path : of the star in the middle of the zone, from its place at mid-exposure
     followed : (K, 2, 3, 3) places at equal times of stars at the zone's NODES, from mid-exposure
     own_from_e : stars of more light are drawn along their own path
+    uneven : streaks of some stars are shorter than that in the middle by more than SLACK, as around
+        the centre of a turn: what is bright depends on each one's own length
     """
 
     zone: Zone
@@ -72,6 +76,7 @@ class Streak:
     pieces: tuple[StreakSegment, ...]
     followed: Array
     own_from_e: float
+    uneven: bool = False
 
     @property
     def start(self) -> Array:
@@ -86,6 +91,24 @@ class Streak:
     def at(self, table: Array, x_px: Array, y_px: Array) -> tuple[Array, Array]:
         """A quantity known at the zone's NODES for stars at (x, y): biquadratic interpolation."""
         return biquadratic(table, *self.zone.uv(x_px, y_px))
+
+    def places_px(self, x_px: Array, y_px: Array) -> Array:
+        """Places (m, 2, n) of stars of the zone from mid-exposure, MOST_NODES of each at most."""
+        u, v = self.zone.uv(x_px, y_px)
+        nodes = np.unique(np.linspace(0, len(self.followed) - 1, MOST_NODES).astype(np.intp))
+        return np.array([biquadratic(self.followed[k], u, v) for k in nodes])
+
+    def lengths_px(self, x_px: Array, y_px: Array) -> Array:
+        """Lengths (n,) of the streaks of stars of the zone."""
+        steps = np.diff(self.places_px(x_px, y_px), axis=0)
+        return np.asarray(np.hypot(*steps.swapaxes(0, 1)).sum(axis=0))
+
+    def bright(self, x_px: Array, y_px: Array, light_e: Array) -> NDArray[np.bool_]:
+        """Which stars (n,) of the zone are drawn along their own path: by light per px of it."""
+        if not self.uneven:
+            return np.asarray(light_e > self.own_from_e)
+        own_px = np.clip(self.lengths_px(x_px, y_px), 1.0, self.path.length_px)
+        return np.asarray(light_e > self.own_from_e * own_px / self.path.length_px)
 
 
 @dataclass(frozen=True)
@@ -396,7 +419,9 @@ def zone_streak(
     followed = np.moveaxis(offsets, -1, 0).reshape(-1, 2, 3, 3)
     whole = _rounded(offsets[:, middle], plan)
     own_e = plan.own_from_e_px * max(1.0, whole.length_px)
-    return Streak(zone, whole, tuple(made), followed, own_e)
+    shortest = float(np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1).min())
+    uneven = whole.length_px > SLACK * max(1.0, shortest)
+    return Streak(zone, whole, tuple(made), followed, own_e, uneven)
 
 
 def _rounded(places: Array, plan: StreakPlan) -> Path:

@@ -203,7 +203,8 @@ def _sizes(basis: PlanBasis) -> list[Decision]:
                 "targets.point_sources",
                 True,
                 "a sphere is a point, at the centre of its light, where that errs by at most the "
-                "bound in a pixel; else its disc and lit side at mid-exposure are drawn",
+                "bound in a pixel; else its disc and lit side at mid-exposure are drawn, off the "
+                "axis through the camera's perspective there, with the distortion of its middle",
                 *basis.within_budget("targets.point_sources"),
             )
         )
@@ -254,7 +255,7 @@ def _resolved_meshes(scene: Scene, facts: Facts, ends: Geometry) -> Decision:
         "neither is drawn. The picture keeps scale and axes of the middle of the field, and has "
         "at most 512 cells across: of a body too bright for that the bound does not hold",
         facts.budget_e,
-        facts.budget_e / facts.sigma_floor_e,
+        facts.budget_e / facts.light_floor_e,
     )
 
 
