@@ -49,6 +49,7 @@ from pipeline.plan.stars.brightest import brightest_target_e
 from pipeline.plan.stars.field_stars import FieldStars
 from pipeline.plan.stars.field_streaks import field_streak_warnings
 from pipeline.plan.targets.decisions import mesh_notices
+from pipeline.plan.targets.near import near_warnings
 from pipeline.plan.targets.orbit_age import orbit_remarks, table_warnings
 from pipeline.plan.targets.shared import shared_remarks
 from pipeline.plan.targets.umbra import umbra_remarks
@@ -155,7 +156,7 @@ def resolve(asked: Scene) -> Resolved:
             *warnings,
             *_none_in_field(resolved, g, field_stars),
             *_of_sensor(resolved, maps, g),
-            *table_warnings(scene, g, facts.ifov_rad),
+            *_of_targets(scene, g, facts),
             *turn_warnings(scene, g, facts.ifov_rad, gather_turn_off_rad(scene)),
         ),
         (
@@ -176,6 +177,11 @@ def resolve(asked: Scene) -> Resolved:
             *(sky.remarks if sky is not None else ()),
         ),
     )
+
+
+def _of_targets(scene: Scene, g: Geometry, facts: Facts) -> list[str]:
+    """The warnings on where targets are between rows of tables, and on how near they are."""
+    return [*table_warnings(scene, g, facts.ifov_rad), *near_warnings(scene, g)]
 
 
 def _of_sensor(resolved: ResolvedScene, maps: SensorMaps, g: Geometry) -> list[str]:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 PART = 0.9  # of what other approximations leave of the accuracy
 BETWEEN = 1.2  # times what centre and corners of the field move, for stars between them
 MOST_FRAMES = 1 << 12
+LOOKS = 32  # frames that are looked at besides: those of equal steps may all be of one orbit phase
 
 
 def share_frames(
@@ -45,6 +46,8 @@ def share_frames(
     """
     if not may_share_frames(plan.scene):
         return 1, ()
+    golden = np.arange(LOOKS) * (math.sqrt(5.0) - 1.0) / 2.0 % 1.0  # of no period's step
+    sampled = np.union1d(sampled, (golden * plan.frames).astype(np.int64))
     left = PART * (plan.scene.accuracy.noise_fraction - total_sigma(decisions))
     together, moved_px = 1, _moved_px(plan, sampled, own, 2)
     if bound_sigma(plan, moved_px) <= left:
@@ -117,7 +120,7 @@ def bound_sigma(plan: ResolvedScene, moved_px: float) -> float:
     """
     if not moved_px:
         return 0.0
-    light_e, floor_e = plan.facts.brightest_e, plan.facts.sigma_floor_e
+    light_e, floor_e = plan.facts.brightest_e, plan.facts.light_floor_e
     bent = max(_curvature(b) for b in plan.responses.blurs)
     steep_sigma = _bound_e(plan, moved_px) / floor_e
     if not plan.scene.sensor.photon_noise:
