@@ -19,11 +19,13 @@ MEASURED_COLOUR, DEFAULT_COLOUR, CLAMPED_COLOUR = 0, 1, 2
 class ColourFit:
     """Band magnitude minus G as a polynomial in BP-RP, and the rate that belongs to zero.
 
-    Magnitudes are normalised so that every colour of an A0V star is zero.
+    The band's magnitude is normalised so that band - G of an A0V star is zero; BP-RP is as Gaia
+    publishes it.
 
-    coefficients : (k,) ascending powers of BP-RP, magnitudes; the first is 0 (A0V)
+    coefficients : (k,) ascending powers of BP-RP, magnitudes
     colour_range : smallest and largest BP-RP of the spectra that were fitted
     residual_rms_mag, residual_max_mag : of the fitted spectra, equal weights
+    redder_error_mag : largest of spectra redder than those, drawn as if they were as blue
     default_colour : BP-RP taken for stars without colours
     default_colour_scatter : half of the 16 to 84% range of BP-RP that it stands for
     default_error_mag : what that scatter makes of the band's magnitude
@@ -37,6 +39,7 @@ class ColourFit:
     colour_range: tuple[float, float]
     residual_rms_mag: float
     residual_max_mag: float
+    redder_error_mag: float
     default_colour: float
     default_colour_scatter: float
     default_error_mag: float
@@ -46,15 +49,16 @@ class ColourFit:
     digest: str | None = None
 
 
-def fit_colour(bp_rp: Array, band_minus_g: Array, degree: int) -> Array:
-    """Least-squares polynomial through (0, 0): the colours of an A0V star are zero.
+def fit_colour(bp_rp: Array, band_minus_g: Array, degree: int, a0v_bp_rp: float = 0.0) -> Array:
+    """Least-squares polynomial that is 0 for an A0V star.
 
-    bp_rp, band_minus_g : (n,) magnitudes relative to A0V
-    Returns coefficients (degree+1,) in ascending powers, the first exactly 0.
+    bp_rp, band_minus_g : (n,) magnitudes over those of A0V; a0v_bp_rp : its BP-RP
+    Returns coefficients (degree+1,) in ascending powers of BP-RP itself.
     """
     powers = np.vander(bp_rp, degree + 1, increasing=True)[:, 1:]
     solution = np.linalg.lstsq(powers, band_minus_g, rcond=None)[0]
-    return np.concatenate([[0.0], solution])
+    over = np.polynomial.Polynomial(np.concatenate([[0.0], solution]))
+    return np.asarray(over(np.polynomial.Polynomial([-a0v_bp_rp, 1.0])).coef)
 
 
 def cross_validated_rms_mag(bp_rp: Array, band_minus_g: Array, degree: int) -> float:

@@ -82,6 +82,7 @@ def colour_facts(plan: Plan) -> JsonObject | None:
         "digest": fit.digest,
         "residual_rms_mag": fit.residual_rms_mag,
         "residual_max_mag": fit.residual_max_mag,
+        "redder_error_mag": fit.redder_error_mag,
     }
 
 

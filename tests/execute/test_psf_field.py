@@ -19,7 +19,7 @@ from pipeline.errors import BadInput
 from pipeline.execute import check, tables
 from pipeline.execute.blocks import render_block
 from pipeline.execute.light import draw_exact, draw_stars
-from pipeline.execute.sources import FrameTarget
+from pipeline.execute.sources import FrameTarget, streaks
 from pipeline.execute.tables import ContentCache
 from pipeline.execute.truth import matched_snr
 from pipeline.physics.motion.streak import POINT, Path, in_few_runs
@@ -213,7 +213,7 @@ def test_crowds_at_the_edges_of_a_block_take_the_responses_beyond(catalogue, mon
         stars = stars_at([at], [at], [5e3])
         wanted = drawn(stamps, stars)[start : start + 172, start : start + 172]
         block = render_block(plan, g, Tile(0, 0, start, start, 172, 172), [stars])
-        assert block.in_crowd(stars.light_e).all()
+        assert block.in_crowd(plan, stars, streaks(plan, g)).all()
         assert np.abs(block.crowd_e - wanted).max() < 1e-3 * wanted.max()
 
 

@@ -16,6 +16,7 @@ def made_fit(**changes) -> colour.ColourFit:
         "colour_range": (-0.6, 3.4),
         "residual_rms_mag": 0.0,
         "residual_max_mag": 0.0,
+        "redder_error_mag": 0.0,
         "default_colour": 1.44,
         "default_colour_scatter": 0.5,
         "default_error_mag": 0.2,

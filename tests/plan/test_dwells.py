@@ -248,7 +248,7 @@ def test_the_brightest_star_is_looked_for_as_far_around_the_frame_again(scene: M
 
 
 def test_the_brightest_source_is_that_of_the_longest_exposure(scene: Make) -> None:
-    fit = ColourFit("b", np.zeros(1), (0.0, 1.0), 0.0, 0.0, 0.5, 0.1, 0.0, 1e10, "made up", 1)
+    fit = ColourFit("b", np.zeros(1), (0.0, 1.0), 0.0, 0.0, 0.0, 0.5, 0.1, 0.0, 1e10, "made up", 1)
     orbit = {"kind": "orbit", "orbit": {
         "kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3070, 0]}}  # fmt: skip
     ball = {"name": "t", "eclipse": False, "orbit": {

@@ -13,7 +13,7 @@ from pipeline.physics.colour import ColourFit
 from pipeline.sweep.stages import _read_key, stages
 
 FIT = ColourFit(
-    "x", np.array([0.0, 0.1]), (-0.5, 4.0), 0.01, 0.02, 0.8, 0.3, 0.03, 1e10, "made up", 9, None
+    "x", np.array([0.0, 0.1]), (-0.5, 4.0), 0.01, 0.02, 0.0, 0.8, 0.3, 0.03, 1e10, "made up", 9
 )
 
 

@@ -14,16 +14,17 @@ from pipeline.kept import kept
 from pipeline.physics.colour import ColourFit, choose_degree, colour_correction_mag, fit_colour
 from pipeline.physics.radiometry import Array, ResponseCurve, photon_integral
 
-FORMAT = "nightglass/colour-fit/2"
+FORMAT = "nightglass/colour-fit/3"
 
 # Of the published DR2 magnitudes: measured on real rows as mag + 2.5 log10(flux), 25.6884 with a
 # scatter of 5e-7 (Evans et al. 2018, A&A 616, A4). The revised passbands' own 25.6914 belongs to
 # magnitudes that DR2 does not publish; it would make every star 0.28% brighter.
 GAIA_G_ZERO_POINT_MAG = 25.6883657251
+GAIA_BP_RP_ZERO_POINT_MAG = 25.3513881707 - 24.7619199882  # of those of BP and RP, as published
 GAIA_PUPIL_M2 = 0.7278  # Gaia Collaboration, Prusti et al. 2016, A&A 595, A1
 
 # Redder spectra (M6V, M7III...) leave the common relation: 0.4% of DR2's stars, which are clamped.
-REDDEST_BP_RP_MAG = 3.4
+REDDEST_BP_RP_MAG = 3.43
 
 # Median and half of the 16 to 84% range of BP-RP of 727 random DR2 rows with G > 18.
 DEFAULT_BP_RP_MAG, DEFAULT_SCATTER_MAG = 1.44, 0.50
@@ -35,11 +36,13 @@ BLUEST_AND_REDDEST_MAG = (-0.47, 4.09)
 
 
 class ColourPoints(NamedTuple):
-    """Synthetic colours of the library relative to its A0V: names, BP-RP (n,), band - G (n,)."""
+    """Synthetic colours of the library: names, BP-RP (n,) as DR2 publishes it, and band - G (n,)
+    over that of its A0V, whose BP-RP is `a0v_bp_rp`."""
 
     names: tuple[str, ...]
     bp_rp: Array
     band_minus_g: Array
+    a0v_bp_rp: float
     a0v_band_over_g: float
     source: str
 
@@ -47,7 +50,9 @@ class ColourPoints(NamedTuple):
 def gather_colour_points(response: ResponseCurve) -> ColourPoints:
     """Colours of every spectrum of the stellar library through a response, sorted by BP-RP.
 
-    Photon-counting synthetic photometry with the revised DR2 passbands (photon responses).
+    Photon-counting synthetic photometry with the revised DR2 passbands (photon responses) and the
+    zero points of the published magnitudes (Evans et al. 2018, A&A 616, A4): by them an A0V star is
+    0.033 mag redder than 0.
     `a0v_band_over_g` is the ratio of A0V's electrons in the band to those in Gaia's G.
     """
     library, source = stellar_library()
@@ -57,11 +62,13 @@ def gather_colour_points(response: ResponseCurve) -> ColourPoints:
     a0v = rates[names.index("A0V")]
     with np.errstate(divide="ignore"):
         g, bp, rp, band = -2.5 * np.log10(rates / a0v).T
+    white = GAIA_BP_RP_ZERO_POINT_MAG - 2.5 * math.log10(a0v[1] / a0v[2])
     order = [i for i in np.argsort(bp - rp) if math.isfinite(band[i])]
     return ColourPoints(
         tuple(names[i] for i in order),
-        (bp - rp)[order],
+        (bp - rp)[order] + white,
         (band - g)[order],
+        white,
         float(a0v[3] / a0v[0]),
         source,
     )
@@ -71,8 +78,11 @@ def fit_band(points: ColourPoints, band_name: str, degree: int | None = None) ->
     """Fit the colour polynomial to the library's points; degree None is cross-validated."""
     used = points.bp_rp <= REDDEST_BP_RP_MAG
     x, y = points.bp_rp[used], points.band_minus_g[used]
-    coefficients = fit_colour(x, y, degree if degree is not None else choose_degree(x, y))
+    over = x - points.a0v_bp_rp
+    degree = degree if degree is not None else choose_degree(over, y)
+    coefficients = fit_colour(over, y, degree, points.a0v_bp_rp)
     residual = y - np.polynomial.polynomial.polyval(x, coefficients)
+    redder = points.band_minus_g[~used] - np.polynomial.polynomial.polyval(x[-1], coefficients)
     around = DEFAULT_BP_RP_MAG + DEFAULT_SCATTER_MAG * np.array([-1.0, 0.0, 1.0])
     blue, middle, red = np.polynomial.polynomial.polyval(around, coefficients)
     zero_g = 10.0 ** (0.4 * GAIA_G_ZERO_POINT_MAG) / GAIA_PUPIL_M2
@@ -82,6 +92,7 @@ def fit_band(points: ColourPoints, band_name: str, degree: int | None = None) ->
         colour_range=(float(x[0]), float(x[-1])),
         residual_rms_mag=float(np.sqrt(np.mean(residual**2))),
         residual_max_mag=float(np.max(np.abs(residual))),
+        redder_error_mag=float(np.max(np.abs(redder), initial=0.0)),
         default_colour=DEFAULT_BP_RP_MAG,
         default_colour_scatter=DEFAULT_SCATTER_MAG,
         default_error_mag=float(max(abs(blue - middle), abs(red - middle))),
@@ -138,7 +149,7 @@ def plain_fit(fit: ColourFit) -> JsonObject:
 def describe(fit: ColourFit, points: ColourPoints | None = None) -> JsonObject:
     """What `nightglass color-fit` shows: the fit and, with points, each spectrum's residual."""
     described = plain_fit(fit)
-    described["formula"] = "band - G = sum of coefficients[k] (BP-RP)^k, zero at A0V"
+    described["formula"] = "band - G = sum of coefficients[k] (BP-RP)^k; 0 at A0V"
     if points is not None:
         residual = points.band_minus_g - colour_correction_mag(points.bp_rp, fit)
         described["spectra"] = [

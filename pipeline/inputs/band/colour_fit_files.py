@@ -16,7 +16,7 @@ from pipeline.physics.colour import ColourFit
 from pipeline.physics.radiometry import ResponseCurve
 from pipeline.spec.scene import Scene
 
-FORMAT = "nightglass/colour-fit-file/1"
+FORMAT = "nightglass/colour-fit-file/2"
 FIELD = "stars.colour_fit"
 LARGEST_BYTES = 1 << 20
 MOST_COEFFICIENTS = 16
@@ -104,6 +104,7 @@ def _checked(path: Path, content: JsonObject) -> ColourFit:
     numbers = {
         "residual_rms_mag": (0.0, LARGEST_MAG),
         "residual_max_mag": (0.0, LARGEST_MAG),
+        "redder_error_mag": (0.0, LARGEST_MAG),
         "default_colour": WIDEST_MAG,
         "default_colour_scatter": (0.0, LARGEST_MAG),
         "default_error_mag": (0.0, LARGEST_MAG),

@@ -38,13 +38,21 @@ def gather_band_light(scene: Scene, response: ResponseCurve, band: str, digest: 
     if scene.stars is not None:
         colour = colour_fit_of(scene, response, band, digest)
         remarks.append(
-            f"star colours: {colour.source}; fit residual {colour.residual_rms_mag:.3f} mag rms"
+            f"star colours: {colour.source}; fit of {colour.spectra_count} with a residual of "
+            f"{colour.residual_rms_mag:.3f} mag rms; stars redder than BP-RP = "
+            f"{colour.colour_range[1]:.2f} (0.4% of Gaia's, M giants and late dwarfs; colour_flag "
+            f"2) are drawn with that colour, {_off(colour.redder_error_mag)}"
         )
     if scene.targets or scene.populations:
         wavelength, irradiance, source, error = solar_spectrum()
         sun = band_photon_irradiance_sun(wavelength, irradiance, response)
         remarks.append(f"solar spectrum: {source}; {error}")
     return BandLight(colour, sun, tuple(remarks))
+
+
+def _off(mag: float) -> str:
+    """How far off stars are, where that is known."""
+    return f"up to {mag:.2f} mag off" if mag else "up to a magnitude off, as in V"
 
 
 def _held_by_the_band(scene: Scene) -> list[str]:

@@ -114,7 +114,7 @@ def test_limits_other_files_and_sensors(folder):
     (folder / "none.json").write_text("[1]")
     cases = [
         (named(folder, "changed.json"), "sha256"),
-        (named(folder, "none.json"), "colour-fit-file/1"),
+        (named(folder, "none.json"), "colour-fit-file/2"),
         (named(folder, "absent.json"), "No such file"),
         (named(folder, quantum_efficiency=0.5), "response"),
     ]

@@ -177,7 +177,7 @@ def test_a_layer_within_the_reach_of_another_ends_nothing(empty):
 @pytest.mark.parametrize("slope", [0.1, -0.1])
 def test_what_the_default_colour_may_cost_either_way(slope):
     """At most at the reddest star, whether it is brighter or fainter in the band."""
-    fit = ColourFit("b", np.array([0.0, slope]), (-1.0, 5.0), 0, 0, 1.44, 0.5, 0, 1e10, "s", 1)
+    fit = ColourFit("b", np.array([0.0, slope]), (-1.0, 5.0), 0, 0, 0, 1.44, 0.5, 0, 1e10, "s", 1)
     assert default_colour_error_mag(fit)[1] == pytest.approx(0.1 * (4.09 - 1.44))
 
 
@@ -194,7 +194,7 @@ def test_light_beyond_a_limit_is_that_of_the_counts_the_sky_over():
 
 def test_undrawn_light_is_told_of_the_longest_exposure():
     """Of 0.1 and 400 s: two hundred times that of 0.1 and 2 s."""
-    fit = ColourFit("b", np.zeros(1), (0.0, 1.0), 0.0, 0.0, 0.5, 0.1, 0.0, 1e10, "made up", 1)
+    fit = ColourFit("b", np.zeros(1), (0.0, 1.0), 0.0, 0.0, 0.0, 0.5, 0.1, 0.0, 1e10, "made up", 1)
     told = []
     for longest_s in (2.0, 400.0):
         scene = parse_scene(BASE | {

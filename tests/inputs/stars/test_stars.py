@@ -12,7 +12,7 @@ from pipeline.inputs.stars.stars import brightest_g_mags, gather_leaf
 from pipeline.physics.colour import ColourFit
 from pipeline.resolve import stars as resolving
 
-FIT = ColourFit("flat", np.zeros(1), (-1.0, 4.0), 0.0, 0.0, 0.8, 0.4, 0.0, 1e10, "by hand", 1)
+FIT = ColourFit("flat", np.zeros(1), (-1.0, 4.0), 0.0, 0.0, 0.0, 0.8, 0.4, 0.0, 1e10, "by hand", 1)
 
 
 @pytest.fixture(scope="module")
