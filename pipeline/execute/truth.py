@@ -329,7 +329,7 @@ def _matched_snr(
     That of light F before sigma0 is sigma0 times that of F / sigma0^2 before 1: one curve for all.
     """
     response, times = seen
-    lit = light_e > 0.0
+    lit = plan.facts.flat * light_e > 0.0
     if not lit.any():
         return np.zeros(len(light_e))
     with np.errstate(divide="ignore"):
