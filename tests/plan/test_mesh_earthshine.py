@@ -167,6 +167,30 @@ def test_limits_and_refusals() -> None:
         earthshine_m2_sr(unread, EPOCH, at, 0.3)
 
 
+def test_a_glint_is_that_of_the_suns_disc_at_its_distance() -> None:
+    """A mirror whose highlight is as narrow as the disc, at 1 au, 2 au and 1 au: GGX over a disc of
+    radius r, the half vector turning by r / 2, is 1 / (1 + (r / 2 alpha)^2) of that of a point."""
+    alpha, sun = 0.002, 4.652e-3
+    mirror = FacetSurface(
+        partial(brdf.cook_torrance, diffuse=0.0, roughness=alpha, normal_reflectance=1.0),
+        sun_rings=12,
+    )
+    model = MeshModel((RigidPart(facets(square(1.0))),), (mirror,), "x")
+    wish = {"kind": "mesh", "path": "x.obj", "unit": "m",
+            "attitude": {"kind": "inertial", "quaternion": [0.0, 0.0, 0.0, 1.0]}}  # fmt: skip
+    body = MeshBody.model_validate(wish).with_model(model, ERROR)
+    up, place = np.array([0.0, 0.0, 1.0]), np.array([7e6, 0.0, 0.0])
+    au = 149_597_870_700.0
+    suns = np.array([[place + far * au * up for far in (1.0, 2.0, 1.0)]])
+    still = np.broadcast_to(place, (1, 3, 3))
+    at = View(np.zeros((1, 3)), still, np.zeros((1, 3, 3)), suns, still + 1e7 * up)
+    found = meshes.mesh_m2_sr(body, EPOCH, at, frames=3)
+    point = 1.0 / (4.0 * np.pi * alpha**2)  # m2/sr of 1 m2, seen and lit from above
+    wanted = [point / (1.0 + (sun / far / (2.0 * alpha)) ** 2) for far in (1.0, 2.0, 1.0)]
+    assert found == pytest.approx(wanted, rel=0.02)
+    assert found[1] > 1.4 * found[0]
+
+
 @pytest.mark.parametrize("sharp", [(0,), (3,), (3, 0), (0, 3)])
 def test_one_surface_with_a_glint_is_enough_for_finer_steps(
     sharp: tuple[int, ...], monkeypatch: pytest.MonkeyPatch

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
-from pipeline.physics.constants import SUN_RADIUS_RAD
+from pipeline.physics.constants import ASTRONOMICAL_UNIT_M, SUN_RADIUS_RAD
 from pipeline.physics.meshes.lamps import Lamps, wide_lamp_intensity
 from pipeline.physics.meshes.model import MeshModel, knots_of, model_light, posed, way_rad
 from pipeline.physics.targets.attitude import in_body_axes
@@ -65,7 +65,12 @@ def mesh_m2_sr(
     shape = (frames, -1)
     suns, observers = (v.reshape(frames, -1, 3) for v in (sun, observer))
     every = zip(suns, observers, view.time_s[0].reshape(shape), strict=True)
-    each = [model_light(model, *moments, error, SUN_RADIUS_RAD, step)[0] for moments in every]
+    far_m = np.linalg.norm(view.sun_m[0] - view.place_m[0], axis=-1).reshape(shape)[:, 0]
+    radii = (SUN_RADIUS_RAD * ASTRONOMICAL_UNIT_M / far_m).tolist()  # each frame's own Sun
+    each = [
+        model_light(model, *moments, error, radius, step)[0]
+        for moments, radius in zip(every, radii, strict=True)
+    ]
     return np.concatenate(each)
 
 
