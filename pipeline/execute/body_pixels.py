@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from pipeline.arrays import Array
 from pipeline.physics.targets.disc import Appearance
 
-MOST_SIDE = 192  # cells across the picture: pixels, or squares of them that count as even
+MOST_SIDE = 192  # cells across a picture: pixels, or squares of them that count as even
+BLOCK, ROW = 256, 1 << 20  # cells on a side of a square; squares of a row, for their numbers
 FINEST = 2.0  # waves a cell that its points are true to
 LEAST = 1e-7  # of the brightest: cells that hold less are dark
 
@@ -24,22 +25,42 @@ def body_pixels(
         there in the middle of pixel 0, 0
     """
     y0, y1, x0, x1 = body.box
-    row, column = row - row.min(), column - column.min()
-    wide = int(max(row.max(), column.max())) + 1 + max(y1 - y0, x1 - x0)
-    side = max(1, math.ceil(wide / MOST_SIDE))
+    side = max(1, math.ceil(max(y1 - y0, x1 - x0) / MOST_SIDE))
     y, x, share = body.points(FINEST / side)
     at_y, at_x = (np.floor((v + 0.5) / side).astype(np.int64) for v in (y, x))
-    own = _binned(at_y, at_x, share)
-    response = _binned(row // side, column // side, value)
-    shape = [a + b - 1 for a, b in zip(own.shape, response.shape, strict=True)]
-    both = np.fft.rfft2(own, shape) * np.fft.rfft2(response, shape)
-    cells = np.fft.irfft2(both, shape)
-    return cells[cells > LEAST * cells.max()] / side**2, float(side**2)
+    picture = _binned(at_y - at_y.min(), at_x - at_x.min(), share)
+    row, column = ((v - v.min()) // side for v in (row, column))
+    values = _spread(picture, row, column, value)
+    return values[values > LEAST * values.max()] / side**2, float(side**2)
+
+
+def _spread(
+    picture: Array, row: NDArray[np.int64], column: NDArray[np.int64], value: Array
+) -> Array:
+    """Values (m,) of the cells that a picture lights through a response known in some (n,).
+
+    Square by square of the response, as long streaks cross most of a frame and fill little of it.
+    """
+    down, across = (BLOCK + n - 1 for n in picture.shape)
+    spectrum = np.fft.rfft2(picture, (down, across))
+    out: dict[tuple[int, int], Array] = {}
+    number, block = np.unique(row // BLOCK * ROW + column // BLOCK, return_inverse=True)
+    for k, key in enumerate(number.tolist()):
+        mine = block == k
+        image = np.zeros((down, across))
+        np.add.at(image, (row[mine] % BLOCK, column[mine] % BLOCK), value[mine])
+        image = np.fft.irfft2(np.fft.rfft2(image) * spectrum, (down, across))
+        for y in range(0, down, BLOCK):
+            for x in range(0, across, BLOCK):
+                part = image[y : y + BLOCK, x : x + BLOCK]
+                place = key // ROW + y // BLOCK, key % ROW + x // BLOCK
+                held = out.setdefault(place, np.zeros((BLOCK, BLOCK)))
+                held[: part.shape[0], : part.shape[1]] += part
+    return np.concatenate([image.ravel() for image in out.values()])
 
 
 def _binned(row: NDArray[np.int64], column: NDArray[np.int64], value: Array) -> Array:
-    """An image of what falls into each cell, from the first row and column that hold any."""
-    row, column = row - row.min(), column - column.min()
+    """An image (rows, columns) of what falls into each cell."""
     shape = int(row.max()) + 1, int(column.max()) + 1
     flat = np.bincount(row * shape[1] + column, weights=value, minlength=math.prod(shape))
     return flat.astype(np.float64).reshape(shape)

@@ -37,6 +37,7 @@ from pipeline.spec.targets.mesh import MeshBody
 
 POINT_RADIUS_PX = 1e-4  # smaller bodies are points whatever their light
 UNMOVED = 0.01  # of a part's budget, up to which a sphere is drawn as in the middle of the field
+MOST_OFF = 10.0  # radii by which the edge of a field may move a body's limb
 STEP_PX = 0.125  # beside a body's middle, where its stretch is looked at
 MIDDLE = Perspective(1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
 SQUARE_PX = 64.0  # stars are drawn square by square, so that a stamp's pixels stay in the cache
@@ -385,13 +386,14 @@ def _seen(plan: ResolvedScene, g: Geometry, target: FrameTarget) -> FrameTarget:
         return replace(target, radius_px=radius)
     phase = min(math.pi, max(0.0, float(g.target_phase_rad[target.index, 0, g.middle])))
     blur, budget_e = plan.responses.blur, plan.responses.budget_e
-    sphere: Appearance = Sphere(radius, phase)
-    axes, perspective = _perspective_at(plan, g, target)
-    stretch = perspective.stretch(sphere.box)
-    blur, budget_e = plan.responses.blur, plan.responses.budget_e
-    moved_px = radius * max(abs(perspective.xx - 1.0), abs(stretch - 1.0))
-    if not UNMOVED * budget_e < target.light_e * point_slope(blur) * moved_px < math.inf:
-        perspective, stretch, axes = MIDDLE, 1.0, g.attitude[0, g.middle]
+    axes, perspective, stretch = g.attitude[0, g.middle], MIDDLE, 1.0
+    off_e = target.light_e * point_slope(blur) * radius  # what a pixel errs by, moved by that much
+    if MOST_OFF * off_e > UNMOVED * budget_e:
+        turned, found = _perspective_at(plan, g, target)
+        grown = found.stretch((-radius, radius, -radius, radius))
+        off = max(abs(v - 1.0) for v in (found.xx, found.yy, grown))
+        if UNMOVED * budget_e < off * off_e < math.inf:
+            axes, perspective, stretch = turned, found, grown
     angle, limb = _sun_angle(g, target.index, distance, axes), radius * stretch
     if target.light_e * point_curvature(blur) * limb**2 > budget_e:
         sphere = Sphere(radius, phase, angle)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
 from pipeline.execute import truth
@@ -16,6 +17,7 @@ from pipeline.execute.sources import FrameTarget, place_targets
 from pipeline.execute.truth import brightest_pixel_e, matched_snr, star_truth, target_truth
 from pipeline.physics.motion.streak import POINT, Path, straight
 from pipeline.physics.radiometry import box
+from pipeline.physics.targets.disc import Sphere
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.plan.response.streaks import Streak, exact_path
@@ -180,6 +182,26 @@ def test_snr_in_a_turning_field_is_that_of_each_stars_own_path(side: int, roll_d
     ]
     assert told == pytest.approx(own, rel=0.01)
     assert own[2] < 0.75 * own[0]
+
+
+@pytest.mark.parametrize(("dx", "dy"), [(700.0, 0.0), (300.0, -500.0), (30.0, 20.0)])
+def test_snr_of_a_body_on_a_streak_counts_its_own_width(dx: float, dy: float) -> None:
+    """A disc of 6 px that moves across most of a frame: against the sum of its steps, each drawn
+    as it stands."""
+    plan, light_e = plan_of(GAUSSIAN, 0.0, 0.0, side=900), 3e4
+    path = Path(np.array([-0.5, 0.5]) * dx, np.array([-0.5, 0.5]) * dy, np.ones(1))
+    body, at = Sphere(6.0, 0.8, 0.3), (np.array([450.0]), np.array([450.0]))
+    found = float(matched_snr(plan, path, np.array([light_e]), *at, 0, body)[0])
+    y, x, share = body.points(2.0)
+    steps = np.linspace(-0.5, 0.5, int(4 * np.hypot(dx, dy)) + 1)
+    image = np.zeros((900, 900))
+    for step in steps:
+        row, column = (np.round(v + 450.0 + step * d).astype(int) for v, d in ((y, dy), (x, dx)))
+        np.add.at(image, (row, column), share / len(steps))
+    light = light_e * gaussian_filter(image, 1.0)
+    floor_e2 = float(plan.snr_floor_e2(0, *at)[0])
+    wanted = math.sqrt(float(np.sum(light**2 / (floor_e2 + light))))
+    assert found == pytest.approx(wanted, rel=0.02)
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def gather_colour_points(response: ResponseCurve) -> ColourPoints:
 
     Photon-counting synthetic photometry with the revised DR2 passbands (photon responses) and the
     zero points of the published magnitudes (Evans et al. 2018, A&A 616, A4): by them an A0V star is
-    0.033 mag redder than 0.
+    0.047 mag redder than 0.
     `a0v_band_over_g` is the ratio of A0V's electrons in the band to those in Gaia's G.
     """
     library, source = stellar_library()
