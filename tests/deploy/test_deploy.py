@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import http.server
 import importlib.util
 import json
 import os
 import re
 import shutil
+import ssl
 import subprocess
 import sys
+import threading
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 from ruamel.yaml import YAML
+
+from tests.tls_cluster import FILES, make_certificates
 
 ROOT = Path(__file__).resolve().parents[2]
 DEPLOY = ROOT / "deploy"
@@ -223,3 +228,26 @@ def test_slurm_array_runs_without_slurm(tmp_path):
     result = subprocess.run(join, env=environ, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     assert "whole, 4 of 4 tiles" in result.stdout
+
+
+@pytest.mark.parametrize("tls", [False, True])
+def test_the_image_is_healthy_over_tls_too(tls: bool, tmp_path: Path) -> None:
+    """Its check against a server that speaks TLS where a certificate is set, and only then."""
+    found = re.search(r"HEALTHCHECK .*?CMD (\[.*?\])\n", (ROOT / "Dockerfile").read_text(), re.S)
+    assert found
+    server = http.server.HTTPServer(("127.0.0.1", 0), http.server.SimpleHTTPRequestHandler)
+    if tls:
+        make_certificates(tmp_path, "localhost")
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(tmp_path / FILES["CERT"], tmp_path / FILES["KEY"])
+        server.socket = context.wrap_socket(server.socket, server_side=True)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    asks = [
+        part.replace("8765/healthz", f"{server.server_port}/") for part in json.loads(found[1])
+    ]
+    for given in ({}, {"NIGHTGLASS_TLS_CERT": "x"}):
+        done = subprocess.run(
+            [sys.executable, *asks[1:]], env=os.environ | given, capture_output=True, cwd=tmp_path
+        )
+        assert (done.returncode == 0) == (tls == bool(given)), done.stderr
+    server.shutdown()
