@@ -172,16 +172,14 @@ class Attempt:
         return None
 
     def _must_stop(self) -> bool:
-        return self._store.seen(self._job).cancel_asked or self._too_long()
-
-    def _too_long(self) -> bool:
-        limit, started = self._job.duration_s, self._job.started_s
-        return bool(limit and started and time.time() > started + limit)
+        now = self._store.seen(self._job)
+        return now.cancel_asked or _too_long(now)
 
     def _why_stopped(self) -> JsonObject | None:
-        if self._store.seen(self._job).cancel_asked or not self._too_long():
+        now = self._store.seen(self._job)
+        if now.cancel_asked or not _too_long(now):
             return None
-        return fault(f"it ran longer than the {self._job.duration_s:g} s that it was given")
+        return fault(f"it ran longer than the {now.duration_s:g} s that it was given")
 
     def count_death(self) -> None:
         """A worker that died is replaced, unless one after the other they die without a tile."""
@@ -194,6 +192,12 @@ class Attempt:
             self._finish(Phase.ERROR, error=fault(reason))
         else:
             self._store.died(job, deaths)
+
+
+def _too_long(job: Job) -> bool:
+    """Whether a job runs for longer than it may by now: its limit may change while it runs."""
+    limit, started = job.duration_s, job.started_s
+    return bool(limit and started and time.time() > started + limit)
 
 
 def fault(message: str) -> JsonObject:

@@ -154,6 +154,21 @@ def test_a_job_is_tried_again_for_so_long(
     assert clock[0] - begun == pytest.approx(10.0, abs=0.5)
 
 
+def test_a_limit_that_is_changed_while_a_job_runs_holds(store: Queue, tmp_path: Path) -> None:
+    """A shorter one ends it, a longer one or none lets it go on."""
+    made = queue(store)
+    job = store.claim()
+    assert job is not None
+    attempt = Attempt(Settings(tmp_path), store, job, lambda: True, SchedulerHealth("threads"))
+    for limit_s, over in ((1e-9, True), (1000.0, False), (2e-9, True), (None, False)):
+        store.amend(made.id, duration_s=limit_s)
+        told = attempt._why_stopped()
+        assert attempt._must_stop() == over
+        assert ("" if told is None else told["message"]) == (
+            f"it ran longer than the {limit_s:g} s that it was given" if over else ""
+        )
+
+
 @pytest.mark.parametrize("down", [True, False])
 def test_a_scheduler_is_asked_once_in_two_seconds(
     monkeypatch: pytest.MonkeyPatch, down: bool
