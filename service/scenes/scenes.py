@@ -108,9 +108,10 @@ def _wrong_file(value: str | list[str], has_file: HasFile | None) -> str | None:
 
 
 def product_bytes_of(scene: Scene) -> int:
-    """Bytes of a scene's product before compression: the most that it takes on disk."""
+    """Bytes of a scene's product before compression: the most that it takes on disk. `dn` is
+    stored whether it is asked for or not."""
     dn = next(n for n in (1, 2, 4, 8) if 8 * n >= scene.sensor.adc_bits)
-    return pixel_frames_of(scene) * sum(dn if n == "dn" else 4 for n in scene.output.layers)
+    return pixel_frames_of(scene) * (dn + 4 * sum(n != "dn" for n in scene.output.layers))
 
 
 def _size_mistakes(scene: Scene, settings: Settings) -> list[Mistake]:

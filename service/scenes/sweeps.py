@@ -10,7 +10,8 @@ from catalog_tools.documents import JsonObject, JsonValue
 from pipeline.errors import BadInput
 from pipeline.plan.cost import least_noise_s
 from pipeline.plan.timing import frame_count
-from pipeline.spec.sweep import Axis
+from pipeline.spec.scene import Scene
+from pipeline.spec.sweep import Axis, Sweep
 from pipeline.spec.sweep_load import parse_sweep
 from service.problems import NotAllowed
 from service.scenes.axes import check_no_file
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
     from pipeline.route.run import Options
     from pipeline.sweep.run import Listener
 
-# What would change how large the points are, or what they read: every point is as the base scene.
+MOST_ADC_BITS = 63  # of any point, where an axis changes them
+# What would change how many pixels the points have, or what they read: all are as the base scene.
 FIXED = (
     "sensor.shape",
     "exposure.frames",
@@ -57,12 +59,22 @@ def accept_sweep(
     if (least := least_noise_s(parsed.points * each)) > settings.job_cpu_s:
         allowed = f"a sweep of at most {settings.job_cpu_s:g} CPU s (forecast: {least:.0f})"
         raise NotAllowed(f"axes: {allowed}", (("axes", parsed.points, allowed),))
-    kept = len(parsed.cubes) if isinstance(parsed.cubes, tuple) else parsed.points
-    asked = 0 if parsed.cubes == "none" else kept * product_bytes_of(base)
+    asked = _bytes_kept(parsed, base)
     if asked > settings.product_bytes:
         allowed = f"points of at most {settings.product_bytes} bytes in all (asked: {asked})"
         raise NotAllowed(f"cubes: {allowed}", (("cubes", parsed.cubes, allowed),))
     return parsed.as_dict() | {"scene": base.as_dict()}, parsed.points * each
+
+
+def _bytes_kept(parsed: Sweep, base: Scene) -> int:
+    """Most bytes of the products of points that a sweep keeps."""
+    if parsed.cubes == "none":
+        return 0
+    kept = len(parsed.cubes) if isinstance(parsed.cubes, tuple) else parsed.points
+    if any("sensor.adc_bits" in axis.fields for axis in parsed.axes):
+        widest = base.sensor.model_copy(update={"adc_bits": MOST_ADC_BITS})
+        base = base.model_copy(update={"sensor": widest})
+    return kept * product_bytes_of(base)
 
 
 def _check_axis(number: int, axis: Axis) -> None:

@@ -128,10 +128,17 @@ def test_only_what_an_upload_may_be_called_is_looked_for(
 
 
 def test_a_product_may_not_be_too_large(tmp_path: Path, scene: dict[str, Any]) -> None:
-    """Frames x pixels of each layer: 2 bytes of dn (1 to 8 by its bits), 4 of any other."""
-    scene["output"] = {"layers": ["dn", "mean_e"]}
-    for bits, each in ((16, 6), (8, 5), (17, 8), (40, 12)):
+    """Frames x pixels of each layer: 2 bytes of dn (1 to 8 by its bits), 4 of any other; dn is
+    stored where it is not asked for, too."""
+    for bits, each, layers in (
+        (16, 6, ["dn", "mean_e"]),
+        (8, 5, ["dn", "mean_e"]),
+        (17, 8, ["dn", "mean_e"]),
+        (40, 12, ["dn", "mean_e"]),
+        (63, 12, ["mean_e"]),
+    ):
         scene["sensor"]["adc_bits"] = bits
+        scene["output"] = {"layers": layers}
         most = each * 2 * 64 * 64
         accept_scene(scene, Settings(tmp_path, product_bytes=most))
         with pytest.raises(NotAllowed) as caught:
