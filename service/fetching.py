@@ -142,8 +142,8 @@ def _fetch(job: Fetched, folder: Path, path: str, size: int, count: Callable[[in
 def _go_on(
     job: Fetched, path: str, part: Path, have: int, size: int, count: Callable[[int], None]
 ) -> int:
-    """Append what comes of the rest of a file; returns how many bytes that was."""
-    if size == 0:
+    """Append what comes of the rest of a file, if any; returns how many bytes that was."""
+    if have == size:
         part.touch()
         return 0
     headers = {"Range": f"bytes={have}-"} if have else {}

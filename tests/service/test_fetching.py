@@ -25,9 +25,9 @@ class Cut(httpx.SyncByteStream):
         raise httpx.ReadError("broken")
 
 
-@pytest.mark.parametrize("had", [0, 2])
+@pytest.mark.parametrize("had", [0, 2, 10])
 def test_a_connection_that_breaks_within_a_file_is_gone_on_with(tmp_path: Path, had: int) -> None:
-    """From the byte where it broke, again and again."""
+    """From the byte where it broke, again and again; what had come whole is not asked for."""
     whole, asked = bytes(range(10)), []
 
     def answer(request: httpx.Request) -> httpx.Response:
