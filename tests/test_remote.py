@@ -372,9 +372,11 @@ def test_cut_off_before_it_was_begun(bucket, local, options):
     from catalog_tools.storage.objects import Objects
     objects = Objects(f"{bucket}/bare-{options.resume}-{options.replace}")
     objects.put("cube.zarr/dn/zarr.json", b"{}")
+    objects.put("cube.zarr/sky_e/zarr.json", b"{}")  # a layer that is not asked for any more
     objects.put("scene.yaml", b"{}")
     made = render(parse_scene(SCENE), objects.url, options)
     assert made["content_digest"] == local[1]["content_digest"]
+    assert "cube.zarr/sky_e/zarr.json" not in objects.names()
 
 
 def test_places_that_do_not_answer(bucket, monkeypatch):

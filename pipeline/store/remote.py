@@ -81,7 +81,11 @@ def begin_remote(
     if layout.BEGUN not in there:
         if there and resume is None:
             raise BadInput("-o", objects.url, "a place where nothing is yet")
-        for name, content in _files_in(stage):
+        made = dict(_files_in(stage))
+        left = [n for n in objects.names() if not n.startswith(layout.LOCK)]
+        if _is_bare_beginning(left):  # it may be of another scene's layers
+            objects.delete(set(left) - set(made))
+        for name, content in made.items():
             if name != layout.BEGUN:
                 objects.put(name, content)
         objects.create(layout.BEGUN, (stage / layout.BEGUN).read_bytes())
