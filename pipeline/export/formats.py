@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
+from catalog_tools.storage.durable import MAKE_ROOM, full_disk_told, whole_file
 from pipeline.errors import BadInput, check_new
 from pipeline.export import coco, satnet
 from pipeline.export.files import KINDS as FRAME_KINDS
@@ -71,7 +72,7 @@ def export_product(
     fps, sigma, snr = request.fps, request.threshold_sigma, request.stars_snr
     for good, field, value, allowed in (
         (named, "-o", str(output), f"a path ending in .{kind}"),
-        (0 < fps <= 100, "--fps", fps, "above 0, up to 100"),
+        (0.01 <= fps <= 100, "--fps", fps, "0.01 to 100"),
         (0 < sigma < 1e6, "--threshold", sigma, "above 0 and below 1e6"),
         (request.light in ("response", "layers"), "--light", request.light, "response or layers"),
         (snr is None or snr >= 0, "--stars-snr", snr, "a number of at least 0"),
@@ -126,12 +127,9 @@ def _movie(job: _Job, output: Path) -> Iterator[Path]:
         write_atomically(output, gif_bytes(pictures, len(job.frames), job.request.fps))
     else:
         encoder()
-        part = output.with_name(output.stem + ".part.mp4")
-        try:
-            write_mp4(pictures, part, job.request.fps)
-            part.replace(output)
-        finally:
-            part.unlink(missing_ok=True)
+        with full_disk_told(output, MAKE_ROOM), whole_file(output) as own:
+            own.touch()  # says why a place is none for a file, which ffmpeg does not
+            write_mp4(pictures, own, job.request.fps)
     yield output
 
 

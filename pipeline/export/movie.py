@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from io import BytesIO
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pipeline.errors import BadInput, Missing, why_broken
+from pipeline.errors import BadInput, Incomplete, Missing, why_broken
 from pipeline.export.picture import GreyLimits, limits_of, shrink, stretch
 from pipeline.store.cube import read_layer
 
 MOST_GIF_BYTES = 1 << 29  # of grey pictures together, of which more than twice that is held
+ROOM_BYTES = 1 << 20  # for which a disk has no room that was full for a film
 MOST_SAMPLES = 16  # frames that the common grey levels are taken from
 
 
@@ -53,15 +55,18 @@ def gif_bytes(pictures: Iterator[NDArray[np.uint8]], frames: int, fps: float) ->
 
 
 def write_mp4(pictures: Iterator[NDArray[np.uint8]], path: Path, fps: float) -> None:
-    """An H.264 film; odd sides lose their last row or column, as the format asks."""
-    writer = None
+    """An H.264 film; odd sides lose their last row or column, as the format asks.
+
+    OSError where the disk is full, Incomplete where ffmpeg ended before the film was whole.
+    """
+    ffmpeg, writer, frames = encoder(), None, 0
     try:
         for picture in pictures:
             even = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
             if not even.size:
                 raise BadInput("--to", "mp4", "frames of at least 2 x 2 pixels; or --to gif")
             if writer is None:
-                writer = encoder()(
+                writer = ffmpeg.write_frames(
                     str(path),
                     even.shape[::-1],
                     fps=fps,
@@ -69,24 +74,51 @@ def write_mp4(pictures: Iterator[NDArray[np.uint8]], path: Path, fps: float) -> 
                     codec="libx264",
                     macro_block_size=2,
                     ffmpeg_log_level="error",
+                    output_params=["-f", "mp4"],
                 )
                 writer.send(None)
-            writer.send(np.ascontiguousarray(even))
+            frames += 1
+            if not _took(writer, np.ascontiguousarray(even)):
+                break
     finally:
         if writer is not None:
             writer.close()
+    _prove(ffmpeg, path, frames)
 
 
-def encoder() -> Callable[..., Generator[None, object, None]]:
-    """imageio-ffmpeg's writer; Missing where there is none, BadInput where it finds no ffmpeg."""
+def _took(writer: Generator[None, object, None], picture: NDArray[np.uint8]) -> bool:
+    """Whether ffmpeg took a picture: one that has ended takes none."""
     try:
-        from imageio_ffmpeg import get_ffmpeg_exe, write_frames
+        writer.send(picture)
+    except OSError:
+        return False
+    return True
+
+
+def _prove(ffmpeg: ModuleType, path: Path, frames: int) -> None:
+    """Count the frames of a film: how ffmpeg ended is not told."""
+    try:
+        found, _ = ffmpeg.count_frames_and_secs(str(path))
+    except RuntimeError:
+        found = 0
+    if found == frames:
+        return
+    with path.open("ab") as film:  # a disk that is full says so
+        film.write(bytes(ROOM_BYTES))
+    again = "run the same command again, or --to gif"
+    raise Incomplete(f"mp4: ffmpeg ended before the film was whole; {again}")
+
+
+def encoder() -> ModuleType:
+    """imageio-ffmpeg; Missing where there is none, BadInput where it finds no ffmpeg."""
+    try:
+        import imageio_ffmpeg
     except ImportError as error:
         broken, instead = why_broken(error, "imageio_ffmpeg"), "use --to gif"
         raise Missing("MP4 movies", "imageio-ffmpeg", "movie", instead, "--to", broken) from None
     try:
-        get_ffmpeg_exe()
+        imageio_ffmpeg.get_ffmpeg_exe()
     except RuntimeError:
         allowed = "gif; or mp4 with an ffmpeg that IMAGEIO_FFMPEG_EXE names"
         raise BadInput("--to", "mp4", allowed) from None
-    return write_frames
+    return imageio_ffmpeg

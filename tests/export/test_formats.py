@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, Incomplete
 from pipeline.export import formats, movie, satnet
 from pipeline.export.coco import annotation, image_entry, packed, run_lengths
 from pipeline.export.formats import ExportRequest, _Job, export_product
@@ -187,6 +187,40 @@ def test_a_movie_of_odd_sides_that_differ(tmp_path):
     assert not (tmp_path / "b.mp4").exists()
 
 
+@pytest.mark.parametrize("fps", [0.01, 1 / 3, 29.97, 100.0])
+def test_a_film_has_all_its_frames_at_any_speed(tmp_path, fps):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    pictures = np.random.default_rng(1).integers(0, 255, (7, 32, 32)).astype(np.uint8)
+    write_mp4(iter(pictures), tmp_path / "a.mp4", fps)
+    assert ffmpeg.count_frames_and_secs(str(tmp_path / "a.mp4"))[0] == 7
+
+
+def test_a_film_leaves_others_alone(labelled, tmp_path):
+    """What lies beside it stays; where its folder is none, that is told as of any other file."""
+    pytest.importorskip("imageio_ffmpeg")
+    kept = tmp_path / "film.part.mp4"
+    kept.write_text("keep me")
+    list(export_product(labelled, "mp4", tmp_path / "film.mp4", ExportRequest()))
+    assert kept.read_text() == "keep me"
+    assert {path.name for path in tmp_path.iterdir()} == {"film.mp4", "film.part.mp4"}
+    with pytest.raises(FileNotFoundError):
+        list(export_product(labelled, "mp4", tmp_path / "none" / "film.mp4", ExportRequest()))
+
+
+@pytest.mark.parametrize("ends", ["exit 1;", "head -c 300000 |"])
+def test_a_film_that_ffmpeg_did_not_end_is_no_film(labelled, tmp_path, monkeypatch, ends):
+    """It ends at once, or after the first frame of two, and tells nothing: nothing is left."""
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    broken, output = tmp_path / "ffmpeg", tmp_path / "out" / "film.mp4"
+    broken.write_text(f'#!/bin/bash\n{ends} {ffmpeg.get_ffmpeg_exe()} "$@"\n')
+    broken.chmod(0o755)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(broken))
+    output.parent.mkdir()
+    with pytest.raises(Incomplete, match="ffmpeg ended before the film was whole"):
+        list(export_product(labelled, "mp4", output, ExportRequest()))
+    assert not list(output.parent.iterdir())
+
+
 def test_without_an_encoder(labelled, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(BadInput, match=r"nightglass\[movie\]"):
@@ -241,6 +275,8 @@ def test_header_tells_site_and_sensor(labelled, tmp_path):
         ("masks", "x", ExportRequest(light="lamp"), "--light"),
         ("satnet", "x", ExportRequest(stars_snr=float("nan")), "--stars-snr"),
         ("coco", ".", ExportRequest(), "-o"),
+        ("gif", "x.gif", ExportRequest(fps=0.001), "--fps"),
+        ("mp4", "x.mp4", ExportRequest(fps=1e-9), "--fps"),
     ],
 )
 def test_limits_refused(labelled, tmp_path, kind, name, wish, field):

@@ -8,6 +8,7 @@ too few bytes, where the test may mount one, judges what that library cannot see
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import subprocess
@@ -16,9 +17,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pipeline.errors import DiskFull
+from pipeline.export.movie import write_mp4
 from tests.full_disk.child import bits, stores
 from tests.full_disk.disk import make_disk
 
@@ -99,6 +102,21 @@ def test_a_real_file_system_without_room(tmp_path: Path, small_disk: Path, name:
         run(*store.command(out, out.exists()))
         assert bits(out, store.files) == wanted
         subprocess.run(["find", str(small_disk), "-mindepth", "1", "-delete"], check=True)
+
+
+def test_a_film_without_room_is_told(small_disk: Path) -> None:
+    """ffmpeg ends as if all were well: cut in its middle, or without its index at the end."""
+    pytest.importorskip("imageio_ffmpeg")
+    pictures = np.random.default_rng(1).integers(0, 255, (12, 128, 128)).astype(np.uint8)
+    film = small_disk / "film.mp4"
+    write_mp4(iter(pictures), film, 5.0)
+    whole = film.stat().st_size
+    for size in (0, whole // 2, whole - 4096):
+        film.unlink()
+        resize(small_disk, size)
+        with pytest.raises(OSError, match="No space left") as caught:
+            write_mp4(iter(pictures), film, 5.0)
+        assert caught.value.errno == errno.ENOSPC
 
 
 def resize(place: Path, size: int) -> None:
