@@ -34,7 +34,7 @@ def limits_of(
     image: np.ndarray, low_percent: float = 1.0, high_percent: float = 99.7
 ) -> GreyLimits:
     """Limits between the sky and a bright percentile of an image."""
-    values = _seen(image)
+    values = seen(image)
     sample = values.ravel()[:: max(1, values.size // 400_000)]
     low, middle, high = np.percentile(sample, [low_percent, 50.0, high_percent])
     scatter = 1.4826 * float(np.median(np.abs(sample - middle))) or 1.0
@@ -48,7 +48,7 @@ def stretch(image: np.ndarray, limits: GreyLimits | None = None) -> NDArray[np.u
     The softening is the robust scatter of the sky, so that noise stays visible beside bright
     stars (Lupton et al. 2004, PASP 116, 133).
     """
-    values = _seen(image)
+    values = seen(image)
     low, scatter, top = limits or limits_of(values)
     scaled = np.arcsinh((values - low) / (3.0 * scatter)) / np.arcsinh(
         (top - low) / (3.0 * scatter)
@@ -59,7 +59,7 @@ def stretch(image: np.ndarray, limits: GreyLimits | None = None) -> NDArray[np.u
 def shrink(image: np.ndarray, side_px: int = LARGEST_SIDE_PX) -> tuple[np.ndarray, int]:
     """An image binned by whole factors until it fits; faint stars survive as block maxima do not
     raise the sky (mean of the block and its maximum). Returns it and the factor."""
-    image = _seen(image)
+    image = seen(image)
     factor = -(-max(image.shape) // side_px)
     if factor == 1:
         return np.asarray(image, np.float64), 1
@@ -72,7 +72,7 @@ def shrink(image: np.ndarray, side_px: int = LARGEST_SIDE_PX) -> tuple[np.ndarra
     return 0.5 * (blocks.mean(axis=(1, 3)) + blocks.max(axis=(1, 3))), factor
 
 
-def _seen(image: np.ndarray) -> NDArray[np.float64]:
+def seen(image: np.ndarray) -> NDArray[np.float64]:
     """An image as float64; pixels that are no number (masked ones) are as dark as the darkest."""
     values = np.asarray(image, np.float64)
     masked = np.isnan(values)

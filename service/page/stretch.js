@@ -27,7 +27,10 @@ export class Stretch {
   measure(arrays) {
     const total = arrays.reduce((n, a) => n + a.length, 0), step = Math.max(1, Math.floor(total / 2e5));
     const sample = [];
-    for (const array of arrays) for (let i = 0; i < array.length; i += step) sample.push(array[i]);
+    for (const array of arrays) {
+      for (let i = 0; i < array.length; i += step) if (isFinite(array[i])) sample.push(array[i]);
+    }
+    if (!sample.length) sample.push(0); // pixels that are masked are no numbers
     const sorted = Float64Array.from(sample).sort();
     const at = (q) => sorted[Math.min(sorted.length - 1, Math.floor(q * sorted.length))];
     const middle = at(0.5);

@@ -14,7 +14,7 @@ from PIL import Image
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, Damaged
 from pipeline.export.files import fits_bytes, fits_header
-from pipeline.export.picture import png_bytes
+from pipeline.export.picture import png_bytes, seen
 from pipeline.store import layout
 from pipeline.store.cube import open_cube
 from pipeline.store.markers import marker_path
@@ -103,26 +103,32 @@ def tile_values(
 
 
 def binned(values: np.ndarray, factor: int) -> np.ndarray:
-    """Blocks of factor x factor as the mean of their mean and maximum, float32; 1: as it is."""
+    """Blocks of factor x factor as the mean of their mean and maximum, float32; 1: as it is.
+
+    Pixels that are no number (masked ones) do not count; a block of them alone is none.
+    """
     if factor == 1:
         return values
     y, x = (np.arange(0, n, factor) for n in values.shape)
     values = values.astype(np.float32)
-    count = np.diff(np.append(y, values.shape[0]))[:, None] * np.diff(np.append(x, values.shape[1]))
-    total = np.add.reduceat(np.add.reduceat(values, y, axis=0), x, axis=1)
-    highest = np.maximum.reduceat(np.maximum.reduceat(values, y, axis=0), x, axis=1)
-    return (0.5 * (total / count + highest)).astype(np.float32)
+    known = ~np.isnan(values)
+    count = np.add.reduceat(np.add.reduceat(known, y, axis=0, dtype=np.int64), x, axis=1)
+    total = np.add.reduceat(np.add.reduceat(np.where(known, values, 0), y, axis=0), x, axis=1)
+    highest = np.fmax.reduceat(np.fmax.reduceat(values, y, axis=0), x, axis=1)
+    with np.errstate(invalid="ignore"):  # nothing by nothing
+        return (0.5 * (total / count + highest)).astype(np.float32)
 
 
 def tile_picture(values: np.ndarray, stretch: str, low: float | None, high: float | None) -> bytes:
     """A tile as PNG, its first row at the bottom; black at `low`, white at `high` (by percentiles
     of the tile where absent). BadInput where they are no interval."""
+    values = seen(values)
     ends = np.percentile(values, [1.0, 99.7])
     low = float(ends[0]) if low is None else low
     high = max(float(ends[1]), math.nextafter(low, math.inf)) if high is None else high
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise BadInput("?low", low, f"a number below high ({high:g})")
-    share = np.clip((values.astype(np.float64) - low) / (high - low), 0.0, 1.0)
+    share = np.clip((values - low) / (high - low), 0.0, 1.0)
     if stretch == "asinh":
         share = np.arcsinh(20.0 * share) / math.asinh(20.0)
     elif stretch == "log":

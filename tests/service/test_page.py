@@ -592,6 +592,27 @@ def test_words_of_the_page() -> None:
     assert json.loads(told.stdout) == [wanted for *_, wanted in WORDS]
 
 
+def test_cuts_of_a_tile_with_masked_pixels() -> None:
+    """Pixels that are no number have no part in them; where all are masked they are still cuts."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("no Node here")
+    code = (PAGE / "stretch.js").read_text() + """
+      const told = [0.02, 1].map((share) => {
+        const tile = Float32Array.from({ length: 4000 }, (_, i) => i < 4000 * share ? NaN : i);
+        const s = new Stretch();
+        s.measure([tile]);
+        return [s.low, s.high, s.soft, ...s.range, s.counts.reduce((a, b) => a + b)];
+      });
+      console.log(JSON.stringify(told));"""
+    command = [node, "--input-type=module", "-e", code]
+    told = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
+    for low, high, soft, least, most, count in told:
+        assert least <= low < high <= most or (low, count) == (0, 1)
+        assert 0 < soft <= 1
+    assert told[0][-1] == 0.98 * 4000
+
+
 def test_the_page_answers_head(server: Any) -> None:
     for path in ("/", "/page/app.js"):
         head, whole = server.client.head(path), server.client.get(path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import socket
+import warnings
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -26,7 +27,7 @@ from pipeline.store.cube import open_cube
 from service.engine.attempts import bytes_of
 from service.problems import NotReady, NotThere
 from service.products.files import list_files, open_inside, serve_file
-from service.products.pixels import frame_facts, tile_picture, tile_values, truth_of
+from service.products.pixels import binned, frame_facts, tile_picture, tile_values, truth_of
 
 
 def test_every_file_is_fetched_whole(server: Any, finished: str, tmp_path: Path) -> None:
@@ -239,6 +240,29 @@ def test_a_tile_of_one_value_has_a_picture(asked: tuple[float | None, float | No
     """A bias frame, or a low end above all that is bright: black, not an error of the caller's."""
     png = tile_picture(np.full((3, 4), 2.0), "linear", *asked)
     assert (np.asarray(Image.open(io.BytesIO(png))) == 0).all()
+
+
+@pytest.mark.parametrize("asked", [(None, None), (1.0, None), (None, 9.0), (1.0, 9.0)])
+def test_masked_pixels_are_as_dark_as_the_darkest(asked: tuple[float | None, float | None]) -> None:
+    values = np.linspace(0.0, 10.0, 4096, dtype=np.float32).reshape(64, 64)
+    values[10, 20:40] = np.nan
+    grey = np.asarray(Image.open(io.BytesIO(tile_picture(values, "linear", *asked))))[::-1]
+    assert (grey[10, 20:40] == 0).all()
+    assert (int(grey[0, 0]), int(grey[-1, -1])) == (0, 255)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        none = tile_picture(np.full((3, 4), np.nan), "asinh", None, None)
+    assert (np.asarray(Image.open(io.BytesIO(none))) == 0).all()
+
+
+def test_blocks_are_of_the_pixels_that_are_numbers() -> None:
+    nan = np.nan
+    values = np.array([[1.0, 2.0, nan, nan], [nan, 6.0, nan, nan]], np.float32)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made = binned(values, 2)
+    assert made.dtype == np.float32
+    assert np.array_equal(made, [[0.5 * (3.0 + 6.0), nan]], equal_nan=True)
 
 
 def test_the_wcs_of_a_frame_is_the_first_one_alone(scene: dict[str, Any], tmp_path: Path) -> None:
