@@ -67,12 +67,15 @@ def _lstat(path: Path) -> os.stat_result | None:
 
 
 def is_known(asked: str | None, tag: str) -> bool:
-    """Whether If-None-Match names this ETag. A proxy that packs answers makes it weak: `W/"3"`."""
-    return tag in [one.strip().removeprefix("W/") for one in (asked or "").split(",")]
+    """Whether If-None-Match names this ETag or, as `*`, any. A proxy that packs answers makes it
+    weak: `W/"3"`."""
+    named = [one.strip().removeprefix("W/") for one in (asked or "").split(",")]
+    return tag in named or named == ["*"]
 
 
 def serve_file(request: Request, folder: Path, relative: str) -> Response:
-    """A file as 200, one Range of it as 206, 304 for a known ETag, 416 for an empty range."""
+    """A file as 200, one Range of it (of GET alone) as 206, 304 for a known ETag, 416 for an
+    empty range."""
     file = open_inside(folder, relative)
     about = os.fstat(file.fileno())
     size, etag = about.st_size, f'"{about.st_mtime_ns:x}-{about.st_size:x}"'
@@ -81,7 +84,7 @@ def serve_file(request: Request, folder: Path, relative: str) -> Response:
         file.close()
         return Response(status_code=304, headers=headers)
     asked = RANGE.fullmatch(request.headers.get("range", "").strip())
-    if request.headers.get("if-range") not in (None, etag):
+    if request.method != "GET" or request.headers.get("if-range") not in (None, etag):
         asked = None
     part = _part(asked, size)
     if part is None:

@@ -107,6 +107,7 @@ def test_tags(server: Any, finished: str) -> None:
         assert (again.status_code, again.content) == (304, b"")
         weak = {"if-none-match": f'"other", W/{etag}'}  # as a proxy that packs answers has made it
         assert server.client.get(path, headers=weak).status_code == 304
+        assert server.client.get(path, headers={"if-none-match": "*"}).status_code == 304
         other = server.client.get(path, headers={"if-none-match": '"other"'})
         assert (other.status_code, other.content) == (200, first.content)
     stale = {"range": "bytes=0-3", "if-range": '"other"'}
@@ -114,7 +115,10 @@ def test_tags(server: Any, finished: str) -> None:
     assert server.client.get(f"{finished}/preview.png").content.startswith(b"\x89PNG")
     head = server.client.head(f"{finished}/results/scene.yaml")
     assert (head.status_code, head.content) == (200, b"")
-    assert int(head.headers["content-length"]) > 0
+    size = int(head.headers["content-length"])
+    assert size > 0
+    part = server.client.head(f"{finished}/results/scene.yaml", headers={"range": "bytes=0-3"})
+    assert (part.status_code, int(part.headers["content-length"])) == (200, size)
 
 
 OUT = (
