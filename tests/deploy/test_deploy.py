@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 import ssl
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -251,3 +252,20 @@ def test_the_image_is_healthy_over_tls_too(tls: bool, tmp_path: Path) -> None:
         )
         assert (done.returncode == 0) == (tls == bool(given)), done.stderr
     server.shutdown()
+
+
+def test_a_second_backup_holds_what_came_since_the_first(tmp_path):
+    """The runbook's own lines, but for the containers."""
+    text = (DEPLOY / "runbook.md").read_text()
+    before, _, _ = text[text.index("## Back up") :].partition("    docker run")
+    commands = "\n".join(line for line in before.splitlines() if line.startswith("    C exec api "))
+    commands = commands.replace("C exec api ", "").replace("/data/", f"{tmp_path}/") + " true"
+    commands = commands.replace("python -c", f"{sys.executable} -c")
+    with sqlite3.connect(tmp_path / "jobs.sqlite") as table:
+        table.execute("CREATE TABLE jobs (id)")
+        for rows in (1, 2):
+            table.execute("INSERT INTO jobs VALUES (1)")
+            table.commit()
+            subprocess.run(["bash", "-c", commands], check=True)
+            with sqlite3.connect(tmp_path / "jobs.backup") as backup:
+                assert backup.execute("SELECT COUNT(*) FROM jobs").fetchone() == (rows,)
