@@ -181,9 +181,9 @@ def test_certificates_name_hosts_and_addresses(tmp_path):
         assert f"{name}," in told.stdout
 
 
-@pytest.mark.parametrize("tasks", [{"MIN": "3"}, {"STEP": "2"}])
+@pytest.mark.parametrize("tasks", [{"MIN": "3"}, {"STEP": "2"}, {"ID": "1", "COUNT": "2"}])
 def test_a_few_parts_run_again_say_of_how_many_they_are(tmp_path, tasks):
-    """Tasks 3 to 8 alone may be of 64: without PARTS nothing is drawn."""
+    """Tasks 3 to 8 alone, or 1 and 8, may be of 64: without PARTS nothing is drawn."""
     given = {"ID": "3", "MAX": "8", "MIN": "1", "STEP": "1"} | tasks
     given = {f"SLURM_ARRAY_TASK_{name}": value for name, value in given.items()}
     script = ["bash", str(DEPLOY / "slurm" / "array.sbatch"), "scene.json", str(tmp_path / "run")]
