@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from catalog_tools.documents import Arguments, JsonObject
@@ -48,9 +48,9 @@ class TeamStore:
         """Jobs in order of submission, after a job number."""
         return self._store.listing(phases, after, limit, self.team)
 
-    def newest(self, limit: int) -> list[Job]:
-        """The jobs submitted last, newest first."""
-        return self._store.newest(limit, self.team)
+    def newest(self, limit: int, phases: Collection[Phase] = (), after_s: float = 0.0) -> list[Job]:
+        """The jobs submitted last, newest first: of these phases (none: of all), after a time."""
+        return self._store.newest(limit, self.team, phases, after_s)
 
     def counts(self) -> dict[Phase, int]:
         """How many jobs are in each phase."""

@@ -115,9 +115,17 @@ class JobStore:
             query = query.where(jobs.c.phase.in_(phases))
         return self._jobs(_of(query, team).order_by(jobs.c.number).limit(limit))
 
-    def newest(self, limit: int, team: str | None = None) -> list[Job]:
-        """The jobs submitted last, newest first."""
-        query = sa.select(*SHOWN).where(~jobs.c.deleted)
+    def newest(
+        self,
+        limit: int,
+        team: str | None = None,
+        phases: Collection[Phase] = (),
+        after_s: float = 0.0,
+    ) -> list[Job]:
+        """The jobs submitted last, newest first: of these phases (none: of all), after a time."""
+        query = sa.select(*SHOWN).where(~jobs.c.deleted, jobs.c.submitted_s > after_s)
+        if phases:
+            query = query.where(jobs.c.phase.in_(phases))
         return self._jobs(_of(query, team).order_by(jobs.c.number.desc()).limit(limit))
 
     def counts(self, team: str | None = None) -> dict[Phase, int]:

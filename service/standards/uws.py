@@ -52,12 +52,8 @@ def listing(request: Request, service: Service) -> Response:
     last = min(
         (_count(value, "LAST") for key, value in asked if key == "LAST"), default=MOST_LISTED
     )
-    found = [
-        job
-        for job in service.store.newest(MOST_LISTED)
-        if (not phases or job.phase in phases) and job.submitted_s > after
-    ]
-    return _xml(uws_xml.jobs_xml(reversed(found[:last]), _base(request)))
+    found = service.store.newest(last, phases, after)
+    return _xml(uws_xml.jobs_xml(reversed(found), _base(request)))
 
 
 @router.post("", status_code=303, openapi_extra=FORM_BODY)

@@ -205,6 +205,14 @@ def test_listing_by_cursor_and_phase(store: Queue) -> None:
     assert store.counts()[Phase.QUEUED] == 3
 
 
+def test_the_newest_of_some_phases_are_found_behind_newer_ones(store: Queue) -> None:
+    submit_many(store, [Ask("old", {"a": 1}, "b", phase=Phase.PENDING)], TeamLimits())
+    made = [queue(store) for _ in range(3)]
+    assert [job.name for job in store.newest(2, phases=[Phase.PENDING])] == ["old"]
+    assert store.newest(2) == store.newest(2, phases=[Phase.QUEUED]) == made[:0:-1]
+    assert store.newest(9, after_s=made[1].submitted_s) == made[2:]
+
+
 def test_a_job_that_is_deleted_while_it_runs_is_cleared_away_after_it_ended(store: Queue) -> None:
     """Until then its worker writes what is to be removed, and its record takes the outcome."""
     waits, runs = queue(store), queue(store)
