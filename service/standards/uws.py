@@ -290,7 +290,7 @@ def _wait_s(text: str, service: Context) -> float:
     if asked < -1:
         raise BadInput("?WAIT", text, "whole seconds, or -1")
     most = service.settings.wait_s
-    return most if asked == -1 else min(float(asked), most)
+    return most if asked == -1 else float(min(asked, most))
 
 
 def _job_xml(request: Request, service: Context, job: Job) -> bytes:

@@ -218,6 +218,7 @@ def test_mistakes_in_queries(server: Any, finished: str, query: str) -> None:
     job_id = finished.rpartition("/")[2]
     assert server.client.get(f"/uws/async/{job_id}?{query}").status_code == 422
     assert server.client.get(f"/uws/async/{job_id}?WAIT=-1").status_code == 200
+    assert server.client.get(f"/uws/async/{job_id}?WAIT=1{'0' * 400}").status_code == 200
     assert server.client.get("/uws/async?LAST=0").status_code == 422
     assert server.client.get("/uws/async?AFTER=x").status_code == 422
     answer = server.client.post("/uws/async", files={"SCENE": b"{}"})
