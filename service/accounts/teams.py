@@ -61,8 +61,8 @@ class TeamStore:
         return self._store.cancel(job_id, self.team, self._caller.actor)
 
     def retry(self, job_id: str) -> Job:
-        """Queue a job again that ended as ERROR, not by its scene."""
-        return self._store.retry(job_id, self.team, self._caller.actor)
+        """Queue a job again that ended as ERROR, not by its scene. QueueFull beyond a quota."""
+        return self._store.retry(job_id, self.team, self._caller.actor, self._limits)
 
     def delete(self, job_id: str) -> None:
         """Stop a job, and remove it with all that it made."""

@@ -12,7 +12,7 @@ import sqlalchemy as sa
 
 from catalog_tools.documents import JsonObject
 from service.jobs.phases import FINAL, MENDABLE, NEXT, WAITING, P, Phase
-from service.jobs.quotas import TeamLimits, ask_more
+from service.jobs.quotas import TeamLimits, ask_more, check_room
 from service.problems import NotReady, NotThere, cut
 from service.store.database import connect, now_s, sqlite_url, writing
 from service.store.leases import holds
@@ -103,8 +103,7 @@ class JobStore:
         """The scene of a job, defaults filled in; `hidden`: of a deleted one, too."""
         with self.engine.connect() as db:
             self._one(db, job_id, team, hidden)
-            query = sa.select(jobs.c.scene).where(jobs.c.id == job_id)
-            return json.loads(db.execute(query).scalar_one())
+            return json.loads(_text(db, job_id))
 
     def listing(
         self, phases: Sequence[Phase], after: int, limit: int, team: str | None = None
@@ -155,8 +154,17 @@ class JobStore:
             record(db, job.team, actor, "cancel", job_id)
             return self._one(db, job_id)
 
-    def retry(self, job_id: str, team: str | None = None, actor: str = LOCAL) -> Job:
-        """Queue a job again that ended as ERROR, not by its scene; what it has drawn is kept."""
+    def retry(
+        self,
+        job_id: str,
+        team: str | None = None,
+        actor: str = LOCAL,
+        limits: TeamLimits | None = None,
+    ) -> Job:
+        """Queue a job again that ended as ERROR, not by its scene; what it has drawn is kept.
+
+        QueueFull beyond a quota, NotAllowed where a file that it names is gone.
+        """
         with writing(self.engine) as db:
             job = self._one(db, job_id, team)
             if not can_be_retried(job):
@@ -164,6 +172,8 @@ class JobStore:
                     f"job {job.id} is {job.phase}: only one that ended as ERROR, not by its "
                     "scene, is run again"
                 )
+            check_room(db, job.team, limits)
+            check_files(db, job.team, _text(db, job_id))
             changes = dict.fromkeys(("error", "started_s", "ended_s"))
             self._move(db, job, P.QUEUED, deaths=0, cancel_asked=False, **changes)
             record(db, job.team, actor, "retry", job_id)
@@ -237,6 +247,11 @@ class JobStore:
         change = sa.update(jobs).where(*same).values(values | {"version": jobs.c.version + 1})
         if db.execute(change).rowcount != 1:
             raise NotReady("the job was changed by someone else meanwhile")
+
+
+def _text(db: sa.Connection, job_id: str) -> str:
+    """The scene of a job, as it is stored."""
+    return str(db.execute(sa.select(jobs.c.scene).where(jobs.c.id == job_id)).scalar_one())
 
 
 def _of(query: sa.Select[Any], team: str | None) -> sa.Select[Any]:

@@ -47,6 +47,13 @@ def ask_more(db: sa.Connection, team: str, pixel_frames: int, limits: TeamLimits
     count(db, team, day, used)
 
 
+def check_room(db: sa.Connection, team: str, limits: TeamLimits | None) -> None:
+    """QueueFull where a team may have no further job that waits."""
+    refusal = refuse(used_by(db, team, int(now_s(db) // DAY_S)), 0, limits or TeamLimits())
+    if refusal is not None:
+        raise refusal
+
+
 def used_by(db: sa.Connection, team: str, day: int) -> Used:
     """What a team has waiting, has asked for today, and keeps on disk."""
     row = db.execute(USED, {"of": team, "on": day}).one()

@@ -10,6 +10,7 @@ from typing import Any
 from unittest.mock import Mock
 
 import pytest
+import sqlalchemy as sa
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from starlette.requests import Request
@@ -19,12 +20,14 @@ from service.accounts.teams import pixel_frames_of
 from service.engine.attempts import Attempt
 from service.engine.cluster import SchedulerHealth
 from service.jobs import submissions
-from service.jobs.jobs import FINAL, NEXT, Job, Phase, Queue
+from service.jobs.jobs import FINAL, LOCAL, NEXT, Job, Phase, Queue
 from service.jobs.submissions import Ask, Intake, TeamLimits, submit_many
 from service.jobs.views import job_dict
-from service.problems import KeyReused, NotReady, NotThere, QueueFull
+from service.problems import KeyReused, NotAllowed, NotReady, NotThere, QueueFull
 from service.settings import Settings
 from service.standards.ogc import _status
+from service.store.database import writing
+from service.store.tables import uploads
 
 
 @pytest.fixture
@@ -328,6 +331,30 @@ def test_a_job_that_is_run_again_begins_anew(store: Queue, kind: str) -> None:
     again = store.retry(job.id)
     assert (again.phase, again.deaths, again.cancel_asked) == (Phase.QUEUED, 0, False)
     assert (again.error, again.started_s, again.ended_s) == (None, None, None)
+
+
+def test_a_job_that_is_run_again_is_one_more_that_waits(store: Queue) -> None:
+    """It has to have its place among the team's jobs, and each file that it names."""
+    file_id = "f" * 32 + ".npy"
+    whose = {"team": LOCAL, "id": file_id, "name": "a.npy", "bytes": 1, "created_s": 0.0}
+    with writing(store.engine) as db:
+        db.execute(sa.insert(uploads), [whose])
+    scene = {"sensor": {"flat": f"upload:{file_id}"}}
+    submit_many(store, [Ask("n", scene, "b")], TeamLimits())
+    job = store.claim()
+    assert job is not None
+    store.finish(job, Phase.ERROR, error={"kind": "fault", "message": "", "errors": []})
+    queue(store)
+    with pytest.raises(QueueFull, match="1 jobs are waiting already"):
+        store.retry(job.id, limits=TeamLimits(queued_jobs=1))
+    with writing(store.engine) as db:
+        db.execute(sa.delete(uploads))
+    with pytest.raises(NotAllowed, match="there is no such file"):
+        store.retry(job.id)
+    assert store.get(job.id).phase == Phase.ERROR
+    with writing(store.engine) as db:
+        db.execute(sa.insert(uploads), [whose])
+    assert store.retry(job.id, limits=TeamLimits(queued_jobs=2)).phase == Phase.QUEUED
 
 
 def test_pixels_of_dwells_with_frames_of_their_own() -> None:
