@@ -123,6 +123,7 @@ def create_app(settings: Settings) -> FastAPI:
         limits = limits_of(settings)
         intake = Intake(table, limits)
         uploads = Uploads(settings, table.engine)
+        uploads.remove_cut_off()
         context = Context(
             settings,
             table,

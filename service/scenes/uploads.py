@@ -9,6 +9,7 @@ import re
 import time
 import uuid
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,7 @@ KINDS = (
 )
 PACKED = (b"\x1f\x8b", b"PK\x03\x04", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd")
 HEADER_BYTES = 4096
+PART = ".part-"  # begins the name of a file that is still coming
 
 
 class Uploads:
@@ -69,6 +71,13 @@ class Uploads:
 
     def __init__(self, settings: Settings, engine: sa.Engine) -> None:
         self._settings, self._engine = settings, engine
+
+    def remove_cut_off(self) -> None:
+        """Remove what an earlier process had of files that no longer come."""
+        for part in self._settings.uploads.glob(f"{PART}*"):
+            with suppress(FileNotFoundError):  # another service on this folder was first
+                if part.stat().st_mtime < time.time() - self._settings.upload_s:
+                    part.unlink()
 
     async def receive(self, request: Request, name: str, caller: Caller) -> JsonObject:
         """Store a request's body under the digest of its content. Memory stays a piece's size.
@@ -81,7 +90,7 @@ class Uploads:
             allowed = f"letters, digits, . _ -, ending in .{', .'.join(KINDS)}"
             raise NotAllowed(f"?name: allowed: {allowed}", (("?name", name, allowed),))
         await run_in_threadpool(self._check_room, caller.team)
-        part = self._settings.uploads / f".part-{uuid.uuid4().hex}"
+        part = self._settings.uploads / f"{PART}{uuid.uuid4().hex}"
         try:
             digest, size = await self._store(request, part)
             await run_in_threadpool(check_content, part, kind)
@@ -121,15 +130,22 @@ class Uploads:
         return digest.hexdigest(), size
 
     def _check_room(self, team: str) -> None:
+        with self._engine.connect() as db:
+            self._refuse_full(db, team)
+
+    def _refuse_full(self, db: sa.Connection, team: str) -> None:
         most = self._settings.bytes_kept
-        if bytes_kept(self._engine, team) >= most:
+        if used_by(db, team, 0).bytes_kept >= most:
             raise QueueFull(f"a team may keep {most} bytes; delete some jobs or files first")
 
     def _keep(self, part: Path, row: JsonObject, caller: Caller) -> None:
         with writing(self._engine) as db:
-            part.replace(self._settings.uploads / row["id"])
             mine = (uploads.c.team == row["team"], uploads.c.id == row["id"])
-            if db.execute(sa.select(uploads.c.id).where(*mine)).first() is None:
+            new = db.execute(sa.select(uploads.c.id).where(*mine)).first() is None
+            if new:  # others may have come since this one began
+                self._refuse_full(db, row["team"])
+            part.replace(self._settings.uploads / row["id"])
+            if new:
                 db.execute(sa.insert(uploads), [row | {"created_s": time.time()}])
                 record(db, caller.team, caller.actor, "upload", row["id"], row["name"])
 

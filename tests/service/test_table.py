@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
 import threading
 import time
@@ -297,6 +298,37 @@ def test_bytes_that_two_teams_uploaded_stay_for_the_other(database: str, tmp_pat
         files.remove(Caller("red", "ann"), file_id)
     files.remove(Caller("blue", "bob"), file_id)
     assert not (here.uploads / file_id).exists()
+    store.close()
+
+
+def test_what_is_left_of_files_that_no_longer_come_is_removed(
+    database: str, tmp_path: Path
+) -> None:
+    """At the next start; what another service is still being sent stays, as all whole files do."""
+    store, here = Queue(database), Settings(tmp_path, upload_s=60.0)
+    here.uploads.mkdir()
+    for name, age_s in (("a.npy", 900), (".part-old", 900), (".part-new", 30)):
+        (here.uploads / name).write_bytes(b"x")
+        os.utime(here.uploads / name, (time.time() - age_s,) * 2)
+    Uploads(here, store.engine).remove_cut_off()
+    assert {path.name for path in here.uploads.iterdir()} == {"a.npy", ".part-new"}
+    store.close()
+
+
+def test_files_that_come_at_once_are_counted_one_by_one(database: str, tmp_path: Path) -> None:
+    """A team's bytes are looked at again when a file is stored, not only before it is sent."""
+    store, here = Queue(database), Settings(tmp_path, bytes_kept=10)
+    here.uploads.mkdir()
+    files, part = Uploads(here, store.engine), here.uploads / ".part-x"
+    first, other = ({"team": "red", "id": x, "name": "a.csv", "bytes": 9} for x in ("1", "2"))
+    for row in (first, other):
+        part.write_bytes(b"x")
+        files._keep(part, row, Caller("red", "ann"))
+    part.write_bytes(b"x")
+    with pytest.raises(QueueFull, match="may keep 10 bytes"):
+        files._keep(part, first | {"id": "3"}, Caller("red", "ann"))
+    files._keep(part, first, Caller("red", "ann"))  # it has this one
+    assert {path.name for path in here.uploads.iterdir()} == {"1", "2"}
     store.close()
 
 
