@@ -72,7 +72,7 @@ def fetch_sweep(job: Fetched, folder: Path, parallel: int = 8) -> Path:
     check_new(folder, empty=True)
     if not folder.name:
         raise BadInput("-o", str(folder), "a folder below this one: it takes its name when whole")
-    stage = folder.with_name(folder.name + PART)  # of an earlier try: begun anew
+    stage = folder.with_name(f".{folder.name}{PART}")  # of an earlier try: begun anew
     shutil.rmtree(stage, ignore_errors=True)
     stage.mkdir(parents=True)
     seal = job.client.ask("GET", f"{job.path}/results/{layout.COMPLETE}").content

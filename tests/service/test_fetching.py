@@ -83,3 +83,17 @@ def test_a_product_that_is_half_there_has_no_seal(
     with pytest.raises(Incomplete):
         fetching.fetch_product(job, tmp_path / "run", 1, None)
     assert not (tmp_path / "run" / COMPLETE).exists()
+
+
+def test_a_folder_beside_a_sweep_that_is_fetched_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = tmp_path / "swept.part" / "mine.txt"
+    kept.parent.mkdir()
+    kept.write_text("keep me")
+    monkeypatch.setattr(fetching, "_listing", lambda _: [])
+    client = SimpleNamespace(ask=lambda *_: SimpleNamespace(content=b'{"files": {}}'))
+    job = SimpleNamespace(client=client, path="/v1/jobs/x", facts={})
+    fetching.fetch_sweep(job, tmp_path / "swept")
+    assert kept.read_text() == "keep me"
+    assert {path.name for path in tmp_path.iterdir()} == {"swept", "swept.part"}
