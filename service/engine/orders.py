@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,6 +22,7 @@ from pipeline.spec.load import parse_scene
 from service import logs
 
 Say = Callable[[JsonObject], None]
+Order = Callable[[JsonObject, Say], JsonObject]
 
 log = logging.getLogger("nightglass.engine")
 BETWEEN_LINES_S = 0.25
@@ -89,6 +91,23 @@ def _options(order: JsonObject) -> Options:
     )
 
 
+def _begun_anew(draw: Order) -> Order:
+    """An order that begins anew what can't be gone on with, as what it reads has changed since:
+    a catalogue, a table of the user's data."""
+
+    def drawn(order: JsonObject, say: Say) -> JsonObject:
+        try:
+            return draw(order, say)
+        except BadInput as error:
+            if error.field != "--resume" or not order["resume"]:
+                raise
+        log.warning("what it reads has changed: begun anew", extra=logs.of_job(order))
+        shutil.rmtree(order["product"])
+        return draw(order | {"resume": False}, say)
+
+    return drawn
+
+
 def _render(order: JsonObject, say: Say) -> JsonObject:
     scene, product = parse_scene(order["scene"]), Path(order["product"])
     with _tiles_told(order):
@@ -127,12 +146,12 @@ def _listener(say: Say) -> Any:
     return listen
 
 
-ORDERS: dict[str, Callable[[JsonObject, Say], JsonObject]] = {
+ORDERS: dict[str, Order] = {
     "plan": _plan,
     "forecast": _forecast,
     "judge": _judge,
     "observe": _observe,
-    "render": _render,
-    "study": _study,
-    "sweep": _sweep,
+    "render": _begun_anew(_render),
+    "study": _begun_anew(_study),
+    "sweep": _begun_anew(_sweep),
 }
