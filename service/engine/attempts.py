@@ -118,7 +118,10 @@ class Attempt:
         log.info("ends: %s", phase, extra=self._said)
 
     def _alone(self) -> bool:
-        """Wait until no earlier worker holds the product's lock; False where it must not be run."""
+        """Wait until no earlier worker holds the product's lock; False where it must not be run.
+
+        OSError where it can't be asked: waiting would not help.
+        """
         while self._go_on() and not self._must_stop():
             try:
                 with (self._product / LOCK).open("r+") as handle:
@@ -126,7 +129,7 @@ class Attempt:
                 return True
             except FileNotFoundError:
                 return True
-            except OSError:
+            except BlockingIOError:
                 log.warning("an earlier worker still holds the product", extra=self._said)
                 time.sleep(POLL_S)
         return False

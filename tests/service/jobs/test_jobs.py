@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import fcntl
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 from starlette.requests import Request
 
 from pipeline.errors import BadInput, Damaged
+from pipeline.store.layout import LOCK
 from service.accounts.teams import pixel_frames_of
 from service.engine.attempts import Attempt
 from service.engine.cluster import SchedulerHealth
@@ -170,6 +172,26 @@ def test_a_limit_that_is_changed_while_a_job_runs_holds(store: Queue, tmp_path: 
         assert ("" if told is None else told["message"]) == (
             f"it ran longer than the {limit_s:g} s that it was given" if over else ""
         )
+
+
+def test_a_lock_that_cannot_be_asked_is_not_that_of_an_earlier_worker(
+    store: Queue, tmp_path: Path
+) -> None:
+    """One that is held is waited for; else the attempt ends, and with it its place."""
+    queue(store)
+    job = store.claim()
+    assert job is not None
+    settings, asked = Settings(tmp_path), iter([True, True, False, True, False])
+    attempt = Attempt(settings, store, job, lambda: next(asked), SchedulerHealth("threads"))
+    lock = settings.product(job.id) / LOCK
+    lock.parent.mkdir(parents=True)
+    with lock.open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert not attempt._alone()
+    lock.unlink()
+    lock.mkdir()
+    with pytest.raises(IsADirectoryError):
+        attempt._alone()
 
 
 @pytest.mark.parametrize("down", [True, False])
