@@ -222,6 +222,8 @@ class JobStore:
     def _one(
         self, db: sa.Connection, job_id: str, team: str | None = None, hidden: bool = False
     ) -> Job:
+        if "\0" in job_id:  # PostgreSQL takes none
+            raise NotThere("there is no such job")
         row = db.execute(_of(sa.select(*SHOWN).where(jobs.c.id == job_id), team)).mappings().first()
         if row is None or (row["deleted"] and not hidden):
             raise NotThere("there is no such job")

@@ -171,6 +171,8 @@ class Uploads:
     def remove(self, caller: Caller, file_id: str) -> None:
         """Forget a team's file; the bytes go when no other team has them. NotThere, and NotReady
         while a job that has not ended names it."""
+        if "\0" in file_id:  # PostgreSQL takes none
+            raise NotThere("there is no such file")
         with writing(self._engine) as db:
             check_unused(db, caller.team, file_id)
             mine = (uploads.c.team == caller.team, uploads.c.id == file_id)

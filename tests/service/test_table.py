@@ -332,6 +332,17 @@ def test_files_that_come_at_once_are_counted_one_by_one(database: str, tmp_path:
     store.close()
 
 
+def test_an_id_that_no_table_takes_is_not_there(database: str, tmp_path: Path) -> None:
+    """As an address may have it: `%00`."""
+    store = Queue(database)
+    for ask_for in (store.get, store.scene, store.cancel, store.retry, store.delete):
+        with pytest.raises(NotThere, match="no such job"):
+            ask_for("a\0b")
+    with pytest.raises(NotThere, match="no such file"):
+        Uploads(Settings(tmp_path), store.engine).remove(Caller("red", "ann"), "a\0b")
+    store.close()
+
+
 def test_files_are_listed_oldest_first(database: str, tmp_path: Path) -> None:
     store = Queue(database)
     with store.engine.begin() as db:
