@@ -27,7 +27,8 @@ __all__ = ["Client", "JobFailed", "Refused", "RemoteJob", "ServiceError"]
 
 KEY_VARIABLE = "NIGHTGLASS_KEY"
 FINAL = ("COMPLETED", "ERROR", "ABORTED")
-LONG_POLL_S = 20.0
+LONG_POLL_S, CONNECT_S = 20.0, 30.0
+LOOK = httpx.Timeout(CONNECT_S, read=130.0)  # a plan waits for its place, then is worked out
 FIRST_S = 5.0  # a server that is asked for the first time may just be starting
 Scene = Mapping[str, object] | str | Path
 Listener = Callable[[JsonObject], None]
@@ -74,7 +75,7 @@ class Client:
         key = key if key is not None else os.environ.get(KEY_VARIABLE)
         self.url, self.patience_s, self._met = url.rstrip("/"), patience_s, False
         self.headers = {"Authorization": f"Bearer {key}"} if key else {}
-        timeout = httpx.Timeout(30.0, read=LONG_POLL_S + 40.0)
+        timeout = httpx.Timeout(CONNECT_S, read=LONG_POLL_S + 40.0)
         try:
             self.http = httpx.Client(base_url=self.url, headers=self.headers, timeout=timeout)
         except (httpx.InvalidURL, ValueError) as error:
@@ -184,7 +185,8 @@ class Client:
         BadInput, Refused, ServiceError
             As `submit` does.
         """
-        return self.ask("POST", "/v1/jobs", json=_data(scene), params={"dry_run": "1"}).json()
+        asked = {"dry_run": "1"}
+        return self.ask("POST", "/v1/jobs", json=_data(scene), params=asked, timeout=LOOK).json()
 
     def observe(self, scene: Scene, **asked: Any) -> JsonObject:
         """What a scene's sensor sees, worked out by the server without drawing.
@@ -207,7 +209,8 @@ class Client:
         BadInput, Refused, ServiceError
             As `submit` does; Refused also for times or `snr`.
         """
-        return self.ask("POST", "/v1/observe", json=_data(scene), params=asked).json()
+        data = _data(scene)
+        return self.ask("POST", "/v1/observe", json=data, params=asked, timeout=LOOK).json()
 
     def job(self, job_id: str) -> RemoteJob:
         """A job by its id.

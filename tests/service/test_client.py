@@ -22,6 +22,7 @@ from pipeline.errors import BadInput, Damaged, exit_code
 from pipeline.store.cube import open_cube
 from pipeline.store.product import check
 from service.client import Client, JobFailed, Refused, ServiceError
+from service.settings import Settings
 
 
 @pytest.fixture
@@ -36,6 +37,22 @@ def nightglass(*words: str, **variables: str) -> subprocess.CompletedProcess[str
         [sys.executable, "-c", code, *words], capture_output=True, text=True,
         env=os.environ | variables, timeout=120,
     )  # fmt: skip
+
+
+def test_a_plan_is_waited_for_as_long_as_the_server_gives_it(tmp_path: Path) -> None:
+    """Its place in the queue and the planning itself; other answers come sooner."""
+    asked, settings = [], Settings(tmp_path)
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        asked.append(request.extensions["timeout"]["read"])
+        return httpx.Response(200, json={})
+
+    with Client("http://h") as client:
+        client.http._transport = httpx.MockTransport(answer)
+        for look in (client.plan, client.observe):
+            look({})
+        client.ask("GET", "/v1/jobs")
+    assert min(asked[:2]) > settings.plan_s + settings.answer_s > asked[2]
 
 
 def test_an_answer_that_is_cut_off_is_asked_for_again() -> None:
