@@ -6,6 +6,7 @@ import gc
 import ipaddress
 import logging
 import socket
+import ssl
 import sys
 from pathlib import Path
 
@@ -37,6 +38,7 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
     settings = read_settings(home)
     if settings.oidc_jwks:
         check_place(settings.oidc_jwks)
+    _check_certificate(settings)
     with bind(host, port, lambda: _guarded(settings)) as listener:
         logs.set_up()
         for name in unknown_variables():
@@ -65,6 +67,18 @@ def serve(host: str = "127.0.0.1", port: int = 8765, home: Path | None = None) -
         gc.freeze()  # what is there now stays: collections need not look at it again
         few_collections()
         uvicorn.Server(config).run(sockets=[listener])
+
+
+def _check_certificate(settings: Settings) -> None:
+    """BadInput for files that are no certificate and its key."""
+    if not settings.tls_cert:
+        return
+    try:
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(settings.tls_cert, settings.tls_key)
+    except OSError as error:
+        reason = "these are no pair" if isinstance(error, ssl.SSLError) else error.strerror
+        allowed = f"a certificate (PEM), and its key as NIGHTGLASS_TLS_KEY; {reason}"
+        raise BadInput("NIGHTGLASS_TLS_CERT", settings.tls_cert, allowed) from None
 
 
 def _check_table(settings: Settings) -> None:

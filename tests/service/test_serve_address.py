@@ -43,3 +43,17 @@ def test_an_address_may_stand_in_brackets_and_ports_end_at_65535() -> None:
     main.bind("[127.0.0.1]", 0).close()
     with pytest.raises(BadInput, match="--port"):
         main.bind("127.0.0.1", 65536)
+
+
+@pytest.mark.parametrize("content", [None, "no certificate"])
+def test_a_certificate_that_is_none_is_refused_before_anything_is_served(
+    content: str | None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    place = tmp_path / "api.pem"
+    if content is not None:
+        place.write_text(content)
+    for name in ("CERT", "KEY"):
+        monkeypatch.setenv(f"NIGHTGLASS_TLS_{name}", str(place))
+    with pytest.raises(BadInput, match="its key as NIGHTGLASS_TLS_KEY; ") as caught:
+        main.serve("127.0.0.1", 0, tmp_path / "home")
+    assert (caught.value.field, caught.value.value) == ("NIGHTGLASS_TLS_CERT", str(place))
