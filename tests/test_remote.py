@@ -123,6 +123,22 @@ def test_damage_is_named(made):
     assert check(url).whole
 
 
+@pytest.mark.parametrize("gone", ["preview.png", "report.json"])
+def test_what_finishing_a_product_made_is_made_again(bucket, local, gone):
+    """A table of truth that is damaged and a file that is lost are no whole product's."""
+    from catalog_tools.storage.objects import Objects
+    objects, table = Objects(f"{bucket}/mended-{gone}"), "truth/targets.parquet"
+    render(parse_scene(SCENE), objects.url, HERE)
+    objects.put(table, objects.get(table)[:-1] + b"x")
+    objects.delete([gone])
+    assert not check(objects.url).whole
+    again = render(parse_scene(SCENE), objects.url, replace(HERE, resume=True))
+    assert again["content_digest"] == local[1]["content_digest"]
+    assert check(objects.url).whole
+    again = render(parse_scene(SCENE), objects.url, replace(HERE, resume=True))
+    assert again["drawn_before"]
+
+
 def test_a_join_that_lacks_a_chunk_takes_the_seal_away(made):
     """A product that was whole and lost a chunk does not look whole after `join` refused it."""
     from catalog_tools.storage.objects import Objects

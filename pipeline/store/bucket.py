@@ -17,7 +17,7 @@ from pipeline.spec.scene import Scene
 from pipeline.store import layout, remote
 from pipeline.store.lease import Lease, only_writer_of
 from pipeline.store.place import Claim, Place, Writing
-from pipeline.store.product import Begun, Verdict
+from pipeline.store.product import Begun, Verdict, finished_faults
 
 
 class Bucket(Place):
@@ -89,7 +89,11 @@ class BucketWriting(Writing):
         self._together = together
 
     def is_sealed(self, tiles: int) -> bool:
-        return self._objects.get(layout.COMPLETE) is not None and len(self.begun.done) == tiles
+        if self._objects.get(layout.COMPLETE) is None or len(self.begun.done) != tiles:
+            return False
+        sealed = self.begun.path.with_name("sealed")
+        remote.bring(self._objects, sealed)
+        return not finished_faults(sealed)
 
     def report(self) -> JsonObject:
         found: JsonObject = json.loads(self._objects.get(layout.REPORT) or b"{}")
