@@ -11,7 +11,7 @@ PACKAGES = ("pipeline", "service", "catalog_tools")
 MEANT = {
     ("pipeline.commands.worker", "port"),  # of the nanny: dask's name for it
     ("pipeline.physics.noise.wells", "measured_e"),  # the other way round: its inverse
-    ("pipeline.sweep.points", "_concerns"),  # the same either way
+    ("pipeline.sweep.points", "concerns"),  # the same either way
 }
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 

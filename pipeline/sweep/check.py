@@ -11,7 +11,7 @@ from pipeline.plan.needs import predict
 from pipeline.route.prepare import Prepared, check_room, prepare
 from pipeline.route.run import Options
 from pipeline.spec.load import parse_scene
-from pipeline.sweep.points import Course, check_axes, names_of_axes, scene_of
+from pipeline.sweep.points import Course, check_axes, concerns, names_of_axes, scene_of
 
 MOST_TARGETS = 64
 
@@ -20,7 +20,8 @@ MOST_TARGETS = 64
 class Checked:
     """What the points that were planned tell of a sweep.
 
-    names : of the targets measured; digests : of catalogues
+    names : of the targets measured
+    digests : of the base scene's catalogues; none where an axis names others
     point_cpu_s : CPU seconds that the dearest of them is predicted to take by itself
     """
 
@@ -55,7 +56,7 @@ def check(course: Course, options: Options | None = None) -> Checked:
         raise faults[0]
     return Checked(
         _measured(course, found),
-        [c.digest for c in found[0].catalogues],
+        _digests(course, found[0]),
         [f"point {point}: {warning}" for warning, point in warnings.items()],
         max(predict(one.plan, one.forecast, one.spent)["cpu_s"] for one in found),
     )
@@ -67,6 +68,14 @@ def _planned(course: Course, point: int, options: Options | None) -> Prepared:
     if options is not None and (options.processes or options.most_memory_mb):
         check_room(one, options.most_memory_mb, options.processes, options.threads)
     return one
+
+
+def _digests(course: Course, point: Prepared) -> list[str]:
+    """Catalogues that axes name count among the files: some of them may come later."""
+    names = [name for axis in course.sweep.axes for name in axis.fields]
+    if any(concerns(name, "stars.catalogue") for name in names):
+        return []
+    return [c.digest for c in point.catalogues]
 
 
 def _measured(course: Course, found: list[Prepared]) -> tuple[str, ...]:

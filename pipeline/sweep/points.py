@@ -103,7 +103,7 @@ def files_of(course: Course) -> list[list[str]]:
         set_field(data, name, value)
         place_paths(data, Path(course.base_folder))
         named |= dict.fromkeys(named_files(data, CATALOGUES))
-        if any(_concerns(name, field) for field in CATALOGUES):
+        if any(concerns(name, field) for field in CATALOGUES):
             catalogues |= dict.fromkeys(_catalogues_in(data))
     known = {file: file_digest(file) for file in {file for _, file in named}}
     found = {(field, f.name, known[f]) for field, f in named}
@@ -222,7 +222,7 @@ def check_axes(design: Design, base: JsonObject, parse: Callable[[JsonObject], o
                 try:
                     parse(data)
                 except InvalidScene as mistakes:
-                    mine = [m for m in mistakes.mistakes if _concerns(m[0], name)]
+                    mine = [m for m in mistakes.mistakes if concerns(m[0], name)]
                     field, given, allowed = (mine or mistakes.mistakes)[0]
                     if field in _own_mistakes(base, parse):
                         raise
@@ -239,5 +239,6 @@ def _own_mistakes(base: JsonObject, parse: Callable[[JsonObject], object]) -> se
     return set()
 
 
-def _concerns(field: str, name: str) -> bool:
+def concerns(field: str, name: str) -> bool:
+    """Whether one of two dotted fields is, holds or lies in the other."""
     return field.startswith(name) or name.startswith(field)

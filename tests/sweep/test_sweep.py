@@ -414,6 +414,19 @@ def test_a_sweep_goes_on_with_the_catalogues_that_its_axes_name(sweep_file, tmp_
         sweep(path, tmp_path / "out", again)
 
 
+def test_points_of_a_catalogue_that_was_missing_are_tried_again(sweep_file, tmp_path, catalogue):
+    """Be it that of the first point: the others stay as they are."""
+    axis = {"field": "stars.catalogue", "values": ["later", catalogue]}
+    path = sweep_file([axis], {"targets": None}, metrics=["background"])
+    assert sweep(path, tmp_path / "out", Options("synchronous"))["failed"] == 1
+    rows = "source_id,ref_epoch,ra,dec,phot_g_mean_mag\n1,2015.5,160.0,20.0,12.0\n"
+    (tmp_path / "one.csv").write_text(rows)
+    ingest([tmp_path / "one.csv"], tmp_path / "later")
+    again = Options("synchronous", resume=True)
+    report = sweep(path, tmp_path / "out", again, retry_failed=True)
+    assert (report["points"], report["failed"]) == (2, 0)
+
+
 @pytest.mark.slow
 def test_same_table_by_every_scheduler(sweep_file, tmp_path):
     path = sweep_file([NOISE], SKY, seeds=3)
