@@ -52,6 +52,10 @@ class TeamStore:
         """The jobs submitted last, newest first: of these phases (none: of all), after a time."""
         return self._store.newest(limit, self.team, phases, after_s)
 
+    def known(self, key: str, body_sha256: str) -> Job | None:
+        """The job that a key made with this body; None where it made none."""
+        return self._store.known(key, body_sha256, self.team)
+
     def counts(self) -> dict[Phase, int]:
         """How many jobs are in each phase."""
         return self._store.counts(self.team)

@@ -127,6 +127,11 @@ class JobStore:
             query = query.where(jobs.c.phase.in_(phases))
         return self._jobs(_of(query, team).order_by(jobs.c.number.desc()).limit(limit))
 
+    def known(self, key: str, body_sha256: str, team: str) -> Job | None:
+        """The job that a team's key made with this body; None where it made none."""
+        same = (jobs.c.idempotency_key == key, jobs.c.body_sha256 == body_sha256)
+        return next(iter(self._jobs(_of(sa.select(*SHOWN).where(*same), team))), None)
+
     def counts(self, team: str | None = None) -> dict[Phase, int]:
         """How many jobs are in each phase."""
         query = sa.select(jobs.c.phase, sa.func.count()).where(~jobs.c.deleted)

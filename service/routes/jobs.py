@@ -15,8 +15,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
 
 from catalog_tools.documents import JsonObject
+from pipeline.errors import NightglassError
 from service.context import Context, Service
-from service.http.bodies import JSON, TEXTS, media_type, read_body
+from service.http.bodies import JSON, TEXTS, digest_of, media_type, parse_text, read_body
 from service.http.gate import allow_time
 from service.jobs.jobs import FINAL, Job, Phase
 from service.jobs.views import etag, job_dict
@@ -51,14 +52,18 @@ async def submit(
     settings = service.settings
     check_key(key)
     body = await read_body(request, settings.body_bytes, settings.body_s, TEXTS)
-    found = await service.scenes.read(
-        service.caller.team, body, service.has_file, media_type(request)
-    )
-    if dry_run:
-        plan = await service.looks.plan(request, service.caller.team, found.scene())
-        return JSONResponse(with_time(plan))
-    if found.named:
-        await service.looks.judge(request, service.caller.team, found.scene())
+    kind = media_type(request)
+    try:
+        found = await service.scenes.read(service.caller.team, body, service.has_file, kind)
+        if dry_run:
+            plan = await service.looks.plan(request, service.caller.team, found.scene())
+            return JSONResponse(with_time(plan))
+        if found.named:
+            await service.looks.judge(request, service.caller.team, found.scene())
+    except NightglassError:
+        if dry_run or (job := await made_before(service, key, body, kind)) is None:
+            raise
+        return taken(service, job, False)
     ask = service.store.ask(
         found.name,
         found.text,
@@ -73,6 +78,14 @@ def check_key(key: str | None) -> None:
     """Malformed for an Idempotency-Key that cannot be one."""
     if key is not None and not KEY.fullmatch(key):
         raise Malformed("an Idempotency-Key is 1 to 255 visible ASCII characters")
+
+
+async def made_before(service: Context, key: str | None, body: bytes, kind: str) -> Job | None:
+    """The job that a key made of a body that is refused now: what it names may have gone since."""
+    if key is None:
+        return None
+    data = await run_in_threadpool(parse_text, body, kind)
+    return await run_in_threadpool(service.store.known, key, digest_of(data))
 
 
 def taken(service: Context, job: Job, made: bool, least_cpu_s: float | None = None) -> Response:

@@ -6,9 +6,10 @@ from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
+from pipeline.errors import NightglassError
 from service.context import Service
 from service.http.bodies import TEXTS, digest_of, media_type, parse_text, read_body
-from service.routes.jobs import DryRun, IdempotencyKey, check_key, json_body, taken
+from service.routes.jobs import DryRun, IdempotencyKey, check_key, json_body, made_before, taken
 from service.scenes.studies import accept_study
 
 router = APIRouter(prefix="/v1/studies", tags=["studies"])
@@ -23,8 +24,14 @@ async def submit(
     check_key(key)
     settings = service.settings
     body = await read_body(request, settings.body_bytes, settings.body_s, TEXTS)
-    data = await run_in_threadpool(parse_text, body, media_type(request))
-    study = await run_in_threadpool(accept_study, data, settings, service.has_file)
+    kind = media_type(request)
+    data = await run_in_threadpool(parse_text, body, kind)
+    try:
+        study = await run_in_threadpool(accept_study, data, settings, service.has_file)
+    except NightglassError:
+        if dry_run or (job := await made_before(service, key, body, kind)) is None:
+            raise
+        return taken(service, job, False)
     if dry_run:
         return JSONResponse(await service.looks.forecast(request, service.caller.team, study))
     digest = digest_of(data)

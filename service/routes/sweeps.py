@@ -6,10 +6,19 @@ from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse, Response
 from starlette.concurrency import run_in_threadpool
 
+from pipeline.errors import NightglassError
 from service.accounts.teams import pixel_frames_of
 from service.context import Service
 from service.http.bodies import TEXTS, digest_of, media_type, parse_text, read_body
-from service.routes.jobs import DryRun, IdempotencyKey, check_key, json_body, taken, with_time
+from service.routes.jobs import (
+    DryRun,
+    IdempotencyKey,
+    check_key,
+    json_body,
+    made_before,
+    taken,
+    with_time,
+)
 from service.scenes.sweeps import accept_sweep
 
 router = APIRouter(prefix="/v1/sweeps", tags=["sweeps"])
@@ -24,16 +33,22 @@ async def submit(
     `dry_run` its size, and the plan of its base scene."""
     check_key(key)
     body = await read_body(request, service.settings.body_bytes, service.settings.body_s, TEXTS)
-    data = await run_in_threadpool(parse_text, body, media_type(request))
-    sweep, pixel_frames = await run_in_threadpool(
-        accept_sweep, data, service.settings, service.has_file
-    )
-    if dry_run:
-        plan = await service.looks.plan(request, service.caller.team, sweep["scene"])
-        points = pixel_frames // pixel_frames_of(sweep["scene"])
-        size = {"points": points, "pixel_frames": pixel_frames}
-        return JSONResponse(size | {"base": with_time(plan)})
-    await service.looks.judge(request, service.caller.team, sweep["scene"])
+    kind = media_type(request)
+    data = await run_in_threadpool(parse_text, body, kind)
+    try:
+        sweep, pixel_frames = await run_in_threadpool(
+            accept_sweep, data, service.settings, service.has_file
+        )
+        if dry_run:
+            plan = await service.looks.plan(request, service.caller.team, sweep["scene"])
+            points = pixel_frames // pixel_frames_of(sweep["scene"])
+            size = {"points": points, "pixel_frames": pixel_frames}
+            return JSONResponse(size | {"base": with_time(plan)})
+        await service.looks.judge(request, service.caller.team, sweep["scene"])
+    except NightglassError:
+        if dry_run or (job := await made_before(service, key, body, kind)) is None:
+            raise
+        return taken(service, job, False)
     digest = digest_of(data)
     name = str(data.get("name", "sweep"))[:128]
     ask = service.store.ask(name, sweep, digest, key, kind="sweep", pixel_frames=pixel_frames)

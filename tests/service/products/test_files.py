@@ -53,6 +53,31 @@ def test_a_file_that_a_job_waits_for_is_kept(
     assert server.client.delete(f"/v1/files/{file_id}").status_code == 204
 
 
+@pytest.mark.parametrize("kind", ["jobs", "sweeps"])
+def test_a_key_that_was_used_is_answered_when_its_file_is_gone(
+    make_server: Callable[..., Any], scene: dict[str, Any], tmp_path: Path, kind: str
+) -> None:
+    """Whose answer was lost asks again: the job stands, whatever it named. A new key is refused."""
+    server = make_server()
+    flat = npy(tmp_path, np.ones((64, 64)))
+    file_id = server.client.post("/v1/files?name=flat.npy", content=flat).json()["id"]
+    scene["sensor"]["flat"] = file_id
+    axes = [{"field": "sensor.read_noise_e", "values": [1.0]}]
+    sweep = {"schema": "nightglass/sweep/1", "name": "one", "scene": scene, "axes": axes}
+    body, path = scene if kind == "jobs" else sweep, f"/v1/{kind}"
+    first = server.client.post(path, json=body, headers={"Idempotency-Key": "k"})
+    assert first.status_code == 202, first.text
+    assert server.ended(first.headers["location"])["phase"] == "COMPLETED"
+    assert server.client.delete(f"/v1/files/{file_id}").status_code == 204
+    again = server.client.post(path, json=body, headers={"Idempotency-Key": "k"})
+    assert (again.status_code, again.json()["id"]) == (200, first.json()["id"])
+    for headers in ({"Idempotency-Key": "other"}, {}):
+        assert server.client.post(path, json=body, headers=headers).status_code == 422
+    assert server.client.post(
+        f"{path}?dry_run=1", json=body, headers={"Idempotency-Key": "k"}
+    ).status_code == 422
+
+
 def test_an_upload_may_take_longer_than_an_answer(
     make_server: Callable[..., Any], tmp_path: Path
 ) -> None:
