@@ -8,8 +8,8 @@ import json
 import os
 import re
 import shutil
-import ssl
 import sqlite3
+import ssl
 import subprocess
 import sys
 import threading
