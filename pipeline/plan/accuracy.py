@@ -30,18 +30,20 @@ def parts(scene: Scene) -> float:
     """How many parts the error that a scene asks for is divided into.
 
     One for each approximation that its drawing may take: sub-pixel phases, the grid and the end of
-    wings, common streaks, the wavelengths of a band, bodies as points, the limit of faint stars,
-    motion as blur; SMALL for the grid of the sky, for charge that stays from earlier frames, and
-    for stars that are drawn for several frames.
+    wings, common streaks, the wavelengths of a band, bodies as points (spheres, and meshes), the
+    limit of faint stars, motion as blur; SMALL for the grid of the sky, for charge that stays from
+    earlier frames, and for stars that are drawn for several frames.
     """
     sources = bool(scene.stars or scene.targets or scene.populations)
     winged = not all(isinstance(psf, GaussianPsf) for psf in scene.sensor.every_psf)
+    bodies = [t.body.kind for t in scene.targets] + [p.body.kind for p in scene.populations]
     drawn = [
         True,  # sub-pixel phases
         *(2 * [winged]),  # the wings' grid, and their end
         scene.stars is not None,  # common streaks
         by_wavelength(scene),
         bool(scene.targets or scene.populations),  # bodies as points
+        {"sphere", "mesh"} <= set(bodies),  # both kinds of them
         scene.stars is not None and scene.stars.limit_from_noise,
         scene.pointing.attitude is not None and scene.pointing.attitude.random,
     ]

@@ -21,6 +21,7 @@ from pipeline.plan.plan import Plan
 from pipeline.plan.sensor.detector import full_e
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.spec.sweep import Detection
+from pipeline.spec.targets.mesh import MeshBody
 from pipeline.store.markers import cell_checksums
 from pipeline.store.product import Cell, cells_digest
 from pipeline.sweep.dependence import is_plain
@@ -28,6 +29,8 @@ from pipeline.sweep.dependence import is_plain
 SAMPLED_PX = 4  # the background is taken from every fourth pixel of each axis
 MARGIN_PX = 24  # of sky around a target's response, for its noise
 LARGEST_WINDOW_PX = 1024
+OF_TARGETS = tuple(n for n in Geometry.__dataclass_fields__ if n.startswith("target_"))
+POSES = ("target_pose", "target_pose_s", "target_turn_rad")  # of the targets that are meshes
 KEPT_LIGHT = 0.98  # a window that holds less of a target's light is said to be outside
 
 
@@ -194,7 +197,7 @@ def _window(plan: Plan, g: Geometry, t: FrameTarget, spare_px: int) -> TargetWin
     core = Tile(0, 0, top, left, bottom - top, right - left)
     if max(core.rows, core.columns) + 2 * spare_px > LARGEST_WINDOW_PX:
         return None
-    light = draw_targets(_one(plan, t.index), _geometry_of(g, t.index), core, [])
+    light = draw_targets(_one(plan, t.index), _geometry_of(plan, g, t.index), core, [])
     rows, columns = plan.scene.sensor.shape
     y0, x0 = max(0, top - spare_px), max(0, left - spare_px)
     y1, x1 = min(rows, bottom + spare_px), min(columns, right + spare_px)
@@ -215,10 +218,13 @@ def _one(plan: Plan, index: int) -> Plan:
     return replace(plan, scene=plan.scene.model_copy(update={"targets": targets}))
 
 
-def _geometry_of(g: Geometry, index: int) -> Geometry:
-    """A geometry with one of its targets alone."""
-    names = [n for n in g.__dataclass_fields__ if n.startswith("target_")]
-    return replace(g, **{name: getattr(g, name)[index : index + 1] for name in names})
+def _geometry_of(plan: Plan, g: Geometry, index: int) -> Geometry:
+    """A geometry with one of its targets alone; of meshes alone it has poses."""
+    kinds = [isinstance(t.body, MeshBody) for t in plan.scene.targets]
+    number = sum(kinds[:index])
+    mesh = slice(number, number + kinds[index])
+    which = {name: mesh if name in POSES else slice(index, index + 1) for name in OF_TARGETS}
+    return replace(g, **{name: getattr(g, name)[rows] for name, rows in which.items()})
 
 
 def _core_px(plan: Plan) -> float:

@@ -186,6 +186,12 @@ def test_errors_of_the_light_come_through_the_flat(tmp_path):
         assert errors["achieved_error_sigma"] == pytest.approx(sigma, rel=2e-3)
         stated = max(1.0, raised) * one["bound_of_all_approximations_sigma"]
         assert errors["bound_of_all_approximations_sigma"] == pytest.approx(stated, rel=0.05)
+    for flat in (1.0, 40.0):
+        plan = prepare(scene(sensor__flat=flat, background={"uniform_mag_arcsec2": 18.0})).plan
+        (grid,) = (d for d in plan.decisions if d.component == "background.grid")
+        assert grid.error_bound_sigma == pytest.approx(
+            grid.error_bound_e / plan.facts.light_floor_e, rel=0.01
+        )
     budgets = [prepare(scene(sensor__flat=f)).plan.facts.budget_e for f in (0.2, 1.0, 40.0)]
     assert budgets == pytest.approx([budgets[1], budgets[1], budgets[1] / 40.0])
 

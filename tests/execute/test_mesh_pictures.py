@@ -15,12 +15,14 @@ from pipeline.inputs.targets.meshes import gather_mesh
 from pipeline.physics.drawing.pictures import cell_error
 from pipeline.physics.psf.pupil import Blur, Gaussian
 from pipeline.physics.targets.disc import Picture
+from pipeline.plan.accuracy import total_sigma
 from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.route.prepare import plan_scene, prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
 from pipeline.spec.targets.mesh import MeshBody
 from pipeline.store.cube import open_cube
+from pipeline.sweep.metrics import target_windows
 from tests.execute.test_extended import scene
 
 trimesh = pytest.importorskip("trimesh")
@@ -158,3 +160,44 @@ def test_the_cells_of_a_picture_are_halved_until_they_serve(files: Path) -> None
     finest = picture_of(pose, px_per_m, blur, 0.0)
     assert 256 < 2.0 * px_per_m / finest.side_px <= 512
     assert picture_of(pose, 1.0, blur, 1.0).side_px == pytest.approx(1.0 / 16, rel=1e-6)
+
+
+def test_a_sphere_a_mesh_and_another_share_the_accuracy_and_have_their_own_windows(
+    tmp_path: Path,
+) -> None:
+    """Within what is asked, by default (each kind has a part of its own), and with the pose of each
+    mesh where a sweep looks for it: it was that of another, or a fault beside a sphere."""
+    trimesh.creation.box((1.5, 0.3, 0.2)).export(tmp_path / "box.stl")
+    ball = {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2}
+    still = {"attitude": {"kind": "inertial", "quaternion": [0.0, 0.5, 0.0, 0.866]}}
+    turned = {"attitude": {"kind": "inertial", "quaternion": [0.0, 0.0, 0.7071, 0.7071]}}
+    data = large(mesh(tmp_path / "box.stl"))
+    one = data["targets"][0]
+    data["sensor"]["shape"] = [256, 256]
+    data["accuracy"] = {}
+    boxes = [mesh(tmp_path / "box.stl", **way) for way in (still, turned)]
+    bodies = {"b": ball, "f": boxes[0], "t": boxes[1]}
+
+    def windows(names: str) -> dict[str, np.ndarray]:
+        targets = []
+        for k, name in enumerate(names):
+            place = [one["orbit"]["position_m"][0], 1e6, 2.0 * k]
+            orbit = one["orbit"] | {"position_m": place}
+            targets.append(one | {"name": name, "body": bodies[name], "orbit": orbit})
+        aim = data["pointing"] | {"target": names[0]}
+        plan = prepare(parse_scene(data | {"targets": targets, "pointing": aim})).plan
+        assert total_sigma(plan.decisions) <= plan.scene.accuracy.noise_fraction * (1.0 + 1e-9)
+        g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
+        return {n: w.response for n, w in target_windows(plan, g, tuple(names), 3.0)}
+
+    together = windows("bft")
+    assert set(together) == set("bft")
+
+    def widths(response: np.ndarray) -> list[float]:
+        share = response / response.sum()
+        return [float(np.sqrt(np.sum(share * (k - np.sum(share * k)) ** 2)))
+                for k in np.indices(share.shape)]  # fmt: skip
+
+    for name in "ft":
+        assert widths(together[name]) == pytest.approx(widths(windows(name)[name]), rel=0.02)
+    assert widths(together["f"]) != pytest.approx(widths(together["t"]), rel=0.2)

@@ -106,7 +106,7 @@ def plan_sky(
     knots, grids, between = _over_time(light, geometry, grid, tolerance, dut1_s)
     error = (grid.error + between + within) * t
     corners = light.at(geometry)(*_corners(camera))
-    sigma = _noise(facts, scene, float(grids.min()))[0]
+    sigma = light_floor_e(_noise(facts, scene, float(grids.min()))[0], facts.flat)
     told = (
         *_parts_told(light, geometry),
         *_limit_told(limit, background_of(scene).starlight != "none", sigma),
