@@ -67,8 +67,8 @@ class Streak:
     path : of the star in the middle of the zone, from its place at mid-exposure
     followed : (K, 2, 3, 3) places at equal times of stars at the zone's NODES, from mid-exposure
     own_from_e : stars of more light are drawn along their own path
-    uneven : streaks of some stars are shorter than that in the middle by more than SLACK, as around
-        the centre of a turn: what is bright depends on each one's own length
+    uneven : streaks of some stars may be shorter than that in the middle by more than SLACK, as
+        around the centre of a turn: what is bright depends on each one's own length
     """
 
     zone: Zone
@@ -419,8 +419,9 @@ def zone_streak(
     followed = np.moveaxis(offsets, -1, 0).reshape(-1, 2, 3, 3)
     whole = _rounded(offsets[:, middle], plan)
     own_e = plan.own_from_e_px * max(1.0, whole.length_px)
-    shortest = float(np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1).min())
-    uneven = whole.length_px > SLACK * max(1.0, shortest)
+    way = offsets[..., -1] - offsets[..., 0]
+    apart = float(np.hypot(*(way - way[:, [middle]])).max())
+    uneven = whole.length_px > SLACK and SLACK * apart > (SLACK - 1.0) * whole.length_px
     return Streak(zone, whole, tuple(made), followed, own_e, uneven)
 
 
