@@ -15,23 +15,25 @@ from ..forms import Layout
 from .kinds import Choose, choose_once
 
 ROWS = 20_000
+LOG_START = 8  # bytes that are zeros, or absent, once all that a log has is in its file
 ALLOWED = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION}
 
 
 def read_sqlite(path: Path, where: str, layout: Layout, choose: Choose) -> Iterator[pa.Table]:
     """Tables of the chosen columns of `layout.query`; attached files lie beside `path`.
 
-    Raises BadInput where there is no query or it fails, and Damaged where the file is broken.
+    Raises BadInput where there is no query or it fails, or what a program has written is not in
+    the file yet, and Damaged where the file is broken.
     """
     if layout.query is None:
         raise BadInput(where, "an SQLite file", "with a form that has `query` in its [table]")
     try:
-        with closing(sqlite3.connect(_uri(path), uri=True)) as base:
+        with closing(sqlite3.connect(_uri(path, where), uri=True)) as base:
             for alias, name in layout.attach:
                 other = path.parent / name
                 if not other.is_file():
                     raise BadInput(f"{where} attach.{alias}", str(other), "a file that exists")
-                base.execute(f"ATTACH DATABASE ? AS {alias}", (_uri(other),))
+                base.execute(f"ATTACH DATABASE ? AS {alias}", (_uri(other, where),))
             base.set_authorizer(lambda action, *_: 0 if action in ALLOWED else 1)
             yield from _rows(base, where, layout.query, choose)
     except sqlite3.DatabaseError as error:
@@ -42,7 +44,16 @@ def read_sqlite(path: Path, where: str, layout: Layout, choose: Choose) -> Itera
         raise BadInput(f"{where} query", layout.query, allowed) from None
 
 
-def _uri(path: Path) -> str:
+def _uri(path: Path, where: str) -> str:
+    """For reading a file as it is; BadInput where a log beside it has rows that it lacks."""
+    for ending in ("-wal", "-journal"):
+        log = path.with_name(path.name + ending)
+        if not log.is_file():
+            continue
+        with log.open("rb") as file:
+            if any(file.read(LOG_START)):
+                allowed = "no such log: close what writes the file, then open it with sqlite3 once"
+                raise BadInput(where, log.name, allowed)
     return f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime as dt
 import errno
 import gzip
@@ -344,6 +345,29 @@ def test_sqlite_needs_a_query_that_only_reads(tmp_path, few):
     check(path, "attach.other", replace(DR2, layout=layout))
     assert path.read_bytes() == before
     assert sqlite3.connect(path).execute("select count(*) from stars").fetchone() == (300,)
+
+
+@pytest.mark.parametrize("mode", ["wal", "persist"])
+def test_sqlite_that_a_writer_has_not_finished_is_refused(tmp_path, few, mode):
+    """Rows that are committed to a log are in no file yet; a log that is done with is no fault."""
+    path, other = tmp_path / "a.sqlite", tmp_path / "b.sqlite"
+    for each in (path, other):
+        write_sqlite(each, few)
+    layout = Layout(query="select * from stars", attach=(("other", "b.sqlite"),))
+    for written in (other, path):
+        with contextlib.closing(sqlite3.connect(written, isolation_level=None)) as base:
+            base.execute(f"pragma journal_mode = {mode}")
+            base.execute("pragma cache_size = 1")  # pages go to the file before the end
+            base.execute("begin")
+            for _ in range(3):
+                base.execute("insert into stars select * from stars")
+            if mode == "wal":
+                base.execute("commit")
+            log = written.name + ("-wal" if mode == "wal" else "-journal")
+            check(path, log, replace(DR2, layout=layout))
+            if mode == "persist":
+                base.execute("commit")
+        assert sum(map(len, read(path, replace(DR2, layout=layout)))) >= 300
 
 
 def test_a_votable_too_large_for_memory_is_refused_with_advice(tmp_path, few, monkeypatch):
