@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import zipfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -196,7 +197,7 @@ def _brdf_rows(path: Path, name: str) -> tuple[bytes, Array]:
 def _npy(path: Path, field: str) -> Array:
     try:
         return np.asarray(np.load(path, allow_pickle=False), float)
-    except (ValueError, OSError, EOFError, TypeError):
+    except (ValueError, OSError, EOFError, TypeError, MemoryError, zipfile.BadZipFile):
         raise BadInput(field, path.name, "an NPY file of numbers") from None
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from catalog_tools.documents import Arguments, JsonObject
+from catalog_tools.documents import Arguments, JsonObject, JsonValue
 from pipeline.errors import BadInput, Missing, why_broken
 from pipeline.inputs.targets.mesh_surfaces import Palette
 from pipeline.inputs.targets.polygons import filled, plain_faces
@@ -44,6 +44,14 @@ LARGEST_M = 1e5
 MANY_FACETS = 200_000
 MERGE = 1e-9  # of the size: corners closer than that are one
 HEADER_BYTES = 1 << 16
+FAN = 6  # TRIANGLE_FAN of glTF 2.0, 3.7.2.1
+HARMLESS = (  # extensions of glTF by how they begin: of colours and lamps alone, or taken
+    "KHR_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+    "KHR_lights_",
+    "KHR_mesh_quantization",
+)
 NAMED = 8  # names listed in a message, at most
 
 
@@ -291,6 +299,8 @@ def _parse(raw: bytes, kind: str, name: str, field: str) -> list[tuple[Array, st
     try:
         if kind == "obj":
             raw, options = _with_materials(plain_faces(raw))
+        elif kind == "glb":
+            _check_glb(_json_of(raw))
         scene = trimesh.load_scene(io.BytesIO(raw), file_type=kind, process=False, **options)
         pieces = list(_pieces(trimesh, scene, kind))
     except MemoryError:
@@ -319,7 +329,8 @@ def _pieces(trimesh: Any, scene: Any, kind: str) -> Iterator[tuple[Array, str, s
         if np.linalg.det(turn[:3, :3]) < 0.0:
             faces = faces[:, ::-1]
         material = str(getattr(getattr(mesh.visual, "material", None), "name", None) or "")
-        yield points[faces], material, _thing(str(key if kind == "obj" else node), material, kind)
+        thing = _thing(str(key), material) if kind == "obj" else _node(scene, str(node), mesh)
+        yield points[faces], material, thing
 
 
 def _polygons(mesh: Any) -> Any:
@@ -344,16 +355,41 @@ def _told_facets(raw: bytes, kind: str) -> int:
         told = int.from_bytes(raw[80:84], "little")
         return told if len(raw) == 84 + 50 * told else raw.count(b"endfacet")
     try:
-        size = int.from_bytes(raw[12:16], "little")
-        told = json.loads(raw[20 : 20 + size])
+        told = _json_of(raw)
         meshes, of = told["meshes"], told["accessors"]
         corners = [
             sum(of[p.get("indices", p["attributes"]["POSITION"])]["count"] for p in m["primitives"])
             for m in meshes
         ]
         return sum(corners[node["mesh"]] for node in told["nodes"] if "mesh" in node) // 3
-    except (ValueError, KeyError, IndexError, TypeError, AttributeError):
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError):
         return 0  # no GLB as it should be: its reader says what is wrong
+
+
+def _json_of(raw: bytes) -> JsonValue:
+    """What a GLB file says of itself; ValueError where that is no JSON."""
+    return json.loads(raw[20 : 20 + int.from_bytes(raw[12:16], "little")])
+
+
+def _check_glb(told: JsonValue) -> None:
+    """ValueError for what trimesh would pass over without a word: facets or places lost."""
+    for name in told.get("extensionsRequired", ()):
+        if not name.startswith(HARMLESS):
+            raise ValueError(f"it requires the extension {name}: export it without")
+    for mesh in told.get("meshes", ()):
+        for primitive in mesh["primitives"]:
+            _check_primitive(primitive, told["accessors"])
+
+
+def _check_primitive(primitive: JsonObject, accessors: list[JsonObject]) -> None:
+    points = accessors[primitive["attributes"]["POSITION"]]
+    corners = accessors[primitive["indices"]] if "indices" in primitive else {}
+    if primitive.get("mode") == FAN:
+        raise ValueError("it has triangle fans: export it as triangles")
+    if "sparse" in points or "sparse" in corners:
+        raise ValueError("it has sparse accessors: export it without")
+    if points.get("normalized"):
+        raise ValueError("its corners are normalized whole numbers: export them as floats")
 
 
 def _with_materials(raw: bytes) -> tuple[bytes, JsonObject]:
@@ -369,13 +405,20 @@ def _with_materials(raw: bytes) -> tuple[bytes, JsonObject]:
     return b"mtllib names.mtl\n" + text, options
 
 
-def _thing(key: str, material: str, kind: str) -> str:
+def _thing(key: str, material: str) -> str:
     """The object's own name: trimesh calls the pieces of an OBJ object_material."""
-    if kind == "obj":
-        if material and key.endswith(f"_{material}"):
-            return key[: -len(material) - 1]
-        return "" if key == material else key
-    return key
+    if material and key.endswith(f"_{material}"):
+        return key[: -len(material) - 1]
+    return "" if key == material else key
+
+
+def _node(scene: Any, node: str, mesh: Any) -> str:
+    """The file's own name of a node: to a mesh of several primitives (of several materials)
+    trimesh gives a node each below it, name_hexadecimals, others in each run.
+    """
+    above = scene.graph.transforms.parents.get(node)
+    several = mesh.metadata.get("from_gltf_primitive")
+    return above if several and re.fullmatch(rf"{re.escape(above)}_[0-9a-f]{{6}}", node) else node
 
 
 def _check_size(corners: Array, name: str, unit: str, field: str) -> None:

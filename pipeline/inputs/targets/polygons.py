@@ -15,7 +15,9 @@ Span = tuple[int, int]
 
 CROSSED = "a face that crosses itself"
 MOST_CORNERS = 1000  # of a face that folds: the time to cut it grows faster than their square
-LINE = re.compile(rb"(?m)^[ \t]*(v|f)[ \t]+([^\r\n#]*)")
+START = re.compile(rb"(?m)^[ \t]*(v[nt]?|f|o|g|usemtl)[ \t]+")
+REMARK = re.compile(rb"(?m)^((?:v[nt]?|f) [^\r\n#]*)#[^\r\n]*")
+LINE = re.compile(rb"(?m)^(v|f) ([^\r\n]*)")
 TOUCHING = 1e-12  # of a polygon's size, squared: a corner on an ear's side, an ear without area
 FOLDED = 1e-6  # of its largest triangle's area: what one of a fan may have on the wrong side
 
@@ -24,9 +26,11 @@ def plain_faces(raw: bytes) -> bytes:
     """An OBJ whose faces count corners from the file's first one and are filled by their fans.
 
     Readers take a fan from a polygon's first corner, which leaves a polygon that is not convex, and
-    count corners that are given backwards from the end of the file. ValueError for a corner 0.
+    count corners that are given backwards from the end of the file; they pass over lines that begin
+    with blanks or have a tab after their first word. ValueError for a corner 0.
     """
     raw = re.sub(rb"\\\r?\n", b" ", raw)
+    raw = REMARK.sub(rb"\1", START.sub(rb"\1 ", raw))
     points, faces, backwards = [], [], []
     for line in LINE.finditer(raw):
         kind, text = line.groups()

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import json
+import re
+import struct
 import zipfile
 
 import numpy as np
@@ -301,6 +304,93 @@ def test_a_glb_too_large_is_refused_before_it_is_read(tmp_path, monkeypatch):
         read_mesh(tmp_path / "cubes.glb", "m")
 
 
+def glb(change=lambda told: None):
+    """A cube of two primitives, each of a material; `change` is made to its JSON."""
+    box = trimesh.creation.box()
+    corners = box.vertices.astype("<f4").tobytes()
+    faces = box.faces.astype("<u2").tobytes()
+    views = [(0, 96), (96, 36), (132, 36)]
+    told = {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "name": "Bus"}],
+        "materials": [{"name": "gold"}, {"name": "black"}],
+        "meshes": [
+            {
+                "primitives": [
+                    {"attributes": {"POSITION": 0}, "indices": k, "material": k - 1} for k in (1, 2)
+                ]
+            }
+        ],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3"},
+            *(
+                {"bufferView": k, "componentType": 5123, "count": 18, "type": "SCALAR"}
+                for k in (1, 2)
+            ),
+        ],
+        "bufferViews": [{"buffer": 0, "byteOffset": a, "byteLength": n} for a, n in views],
+        "buffers": [{"byteLength": 168}],
+    }
+    change(told)
+    text = json.dumps(told).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + 168)
+    return (
+        head
+        + struct.pack("<I4s", len(text), b"JSON")
+        + text
+        + struct.pack("<I4s", 168, b"BIN\0")
+        + corners
+        + faces
+    )
+
+
+def test_an_object_of_a_glb_has_the_name_of_its_node(tmp_path):
+    """Of two materials too, which trimesh gives names at random; one of another node is its own."""
+    twice = {"mesh": 0, "name": "Bus_00000a", "translation": [3, 0, 0]}
+
+    def nodes(told):
+        told["nodes"] = [{"mesh": 0, "name": "Bus", "children": [1]}, twice]
+
+    path = write(tmp_path, glb(nodes), "two.glb")
+    for _ in range(2):
+        mesh = read_mesh(path, "m")
+        assert (mesh.things, mesh.materials) == (("Bus", "Bus_00000a"), ("black", "gold"))
+    model = gather_mesh(body(path, parts=[{"name": "p", "objects": ["Bus"]}]))
+    assert [len(p.facets) for p in model.parts] == [12, 12]
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "KHR_draco_mesh_compression"),
+        ({"mode": 6}, "fans"),
+        ({"sparse": {"count": 1}, "of": 0}, "sparse"),
+        ({"sparse": {"count": 1}, "of": 2}, "sparse"),
+        ({"normalized": True, "of": 0}, "normalized"),
+        ({"extensionsRequired": [7]}, "whole GLB"),
+    ],
+)
+def test_what_a_glb_would_lose_is_refused(tmp_path, change, word):
+    def made(told):
+        if "of" in change:
+            told["accessors"][change["of"]] |= {k: v for k, v in change.items() if k != "of"}
+        elif "mode" in change:
+            told["meshes"][0]["primitives"][1] |= change
+        else:
+            told |= change
+
+    with pytest.raises(BadInput, match=word):
+        read_mesh(write(tmp_path, glb(made), "a.glb"), "m")
+
+
+def test_extensions_of_colours_leave_a_glb_as_it_is(tmp_path):
+    wanted = ["KHR_materials_unlit", "KHR_texture_transform"]
+    path = write(tmp_path, glb(lambda told: told.update(extensionsRequired=wanted)), "a.glb")
+    assert read_mesh(path, "m").closed.all()
+
+
 L_SHAPE = [(0, 0), (3, 0), (3, 1), (1, 1), (1, 4), (0, 4)]
 DART = [(0, 0), (2, -1), (0.5, 0), (2, 1)]
 COMB = [
@@ -427,6 +517,26 @@ def test_a_face_may_go_on_in_the_next_line(tmp_path, end):
     assert len(read_mesh(write(tmp_path, text), "m").corners_m) == 12
 
 
+@pytest.mark.parametrize(
+    ("line", "other"),
+    [
+        (r"(?m)^(f|v) ", r"  \1 "),
+        (r"(?m)^(f|v|o|usemtl) ", r"\1\t"),
+        (r"(?m)^(f [45].*|v.*)$", r"\1 # as drawn"),
+        (r"(?m)^(f [45]) ", r"\t\1\t"),
+        (r"(?m)(?<=\d) (?=\d)", r"\t"),
+    ],
+)
+def test_blanks_tabs_and_remarks_of_an_obj_change_nothing(tmp_path, line, other):
+    found, plain = (
+        read_mesh(write(tmp_path, text, name), "m")
+        for text, name in ((re.sub(line, other, CUBE), "b.obj"), (CUBE, "a.obj"))
+    )
+    assert np.array_equal(found.corners_m, plain.corners_m)
+    assert (found.materials, found.things) == (plain.materials, plain.things)
+    assert found.notices == plain.notices == ()
+
+
 @pytest.mark.parametrize("corner", ["0", "-9"])
 def test_a_corner_that_no_point_has_is_refused(tmp_path, corner):
     with pytest.raises(BadInput, match=f"corner {corner}: they count from 1, or back from -1"):
@@ -477,6 +587,7 @@ def test_facets_without_area_and_repeats_are_left_out(tmp_path):
         ("a.zip", b"PK\x03\x04", "obj"),
         ("a.obj", b"PK\x03\x04 and more", "archive"),
         ("a.fbx", b"Kaydara", "obj"),
+        ("a.glb", b"glTF" + bytes(8) + b"\xa0\x86\x01\x00JSON" + b"[" * 100_000, "triangles"),
     ],
 )
 def test_bad_files_are_refused_by_name(tmp_path, name, content, word):
@@ -505,6 +616,9 @@ def test_no_other_file_is_opened(tmp_path):
 def _rows(value=0.1):
     grid = np.meshgrid([0.0, 45.0, 90.0], [0.0, 45.0, 90.0], [0.0, 180.0], indexing="ij")
     return np.stack([*(g.ravel() for g in grid), np.full(18, value)], axis=1)
+
+
+HUGE = b"{'descr': '<f8', 'fortran_order': False, 'shape': (9999999999999,)}\n"
 
 
 def test_measured_tables_from_csv_and_npy(tmp_path):
@@ -569,6 +683,8 @@ def test_a_table_that_no_surface_has_is_told(tmp_path):
         ("t.csv", b"", "columns"),
         ("t.npy", b"not numpy", "NPY"),
         ("t.txt", b"", "csv"),
+        ("t.npy", b"PK\x03\x04 no zip", "NPY"),
+        ("t.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(HUGE)) + HUGE, "NPY"),
     ],
 )
 def test_bad_tables_are_refused(tmp_path, name, content, word):
