@@ -30,7 +30,7 @@ def fits() -> Any:
 @contextmanager
 def open_fits(path: Path) -> Iterator[Any]:
     """The units of a FITS file; OSError where one that is packed is not what was packed: astropy
-    itself stops before the checksum."""
+    itself stops before the checksum. So are errors of astropy over what it finds in the file."""
     if path.suffix == ".gz":
         try:
             with gzip.open(path) as packed:
@@ -38,8 +38,11 @@ def open_fits(path: Path) -> Iterator[Any]:
                     pass
         except (EOFError, zlib.error) as error:
             raise OSError(str(error)) from None
-    with fits().open(path) as units:
-        yield units
+    try:
+        with fits().open(path) as units:
+            yield units
+    except (KeyError, IndexError, AttributeError, zlib.error) as error:
+        raise OSError(f"{type(error).__name__}: {error}") from None
 
 
 def need_matplotlib(instead: str = "") -> None:

@@ -138,6 +138,14 @@ def test_a_packed_image_that_is_damaged_is_refused(tmp_path, damage):
         gather_sensor_maps(scene(flat=str(path)))
 
 
+def test_an_image_of_no_known_type_of_number_is_refused(tmp_path):
+    path = tmp_path / "flat.fits"
+    fits.PrimaryHDU(np.ones((32, 48))).writeto(path)
+    path.write_bytes(path.read_bytes().replace(b"                 -64", b"                   7", 1))
+    with pytest.raises(BadInput, match=r"sensor\.flat: .*a readable FITS image; KeyError: 7"):
+        gather_sensor_maps(scene(flat=str(path)))
+
+
 def test_memory_is_what_machine_and_container_leave(tmp_path, monkeypatch):
     """The lesser of both, with what the process holds already."""
     machine = psutil.virtual_memory().available

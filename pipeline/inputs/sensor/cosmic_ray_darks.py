@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
-from pipeline.lazily import fits, open_fits
+from pipeline.lazily import open_fits
 from pipeline.physics.cosmic_rays.detect import (
     bad_pixels,
     find_events,
@@ -23,6 +24,7 @@ from pipeline.physics.cosmic_rays.library import Library
 
 BAND_BYTES = 256_000_000  # of the stack that is held at once
 FEWEST_FRAMES = 3
+UNREADABLE = (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile)
 DIGITAL_SIGMA = 12.0**-0.5  # noise of a frame whose pixels all hold one digital number
 
 
@@ -79,7 +81,7 @@ def _stored_shape(path: Path) -> tuple[int, ...]:
                 shape, kind = (hdu.shape if hdu is not None else ()), "f"
         else:
             raise BadInput("DARK_FRAMES", str(path), allowed)
-    except (OSError, ValueError, EOFError, TypeError) as error:
+    except UNREADABLE as error:
         raise BadInput("DARK_FRAMES", str(path), f"a readable image; {error}") from None
     if kind not in "fiu":
         raise BadInput("DARK_FRAMES", f"{path} of type {kind!r}", "numbers")
@@ -92,11 +94,11 @@ def _rows(path: Path, start: int, stop: int) -> NDArray[np.float32]:
         if path.suffix == ".npy":
             part = np.load(path, mmap_mode="r", allow_pickle=False)[..., start:stop, :]
         else:
-            with fits().open(path) as hdus:
+            with open_fits(path) as hdus:
                 hdu = next(h for h in hdus if h.is_image and h.shape)
                 part = hdu.section[..., start:stop, :]
         part = np.asarray(part, dtype=np.float32)
-    except (OSError, ValueError, EOFError, TypeError) as error:
+    except UNREADABLE as error:
         raise BadInput("DARK_FRAMES", str(path), f"a readable image; {error}") from None
     if not np.isfinite(part).all():
         raise BadInput("DARK_FRAMES", f"{path} with NaN or infinite pixels", "finite pixels only")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
-from pipeline.lazily import fits
+from pipeline.lazily import fits, open_fits
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.distortion import HIGHEST_ORDER, FileDistortion
@@ -75,7 +76,7 @@ def _headers(path: Path) -> list[Header]:
     try:
         whole = start.startswith(b"SIMPLE  =") and path.stat().st_size % 2880 == 0
         if whole or path.suffix == ".gz":
-            with fits().open(path) as hdus:
+            with open_fits(path) as hdus:
                 return [hdu.header for hdu in hdus]
         if path.stat().st_size > LARGEST_TEXT:
             raise BadInput(
@@ -109,14 +110,32 @@ def _tpv(header: Header, reference: list[float]) -> JsonObject:
         {k: float(header[f"PV{i}_{k}"]) for k in range(40) if f"PV{i}_{k}" in header}
         for i in (1, 2)
     )
-    if any(f"CD{i}_{j}" in header for i in (1, 2) for j in (1, 2)):
-        cd = [[float(header.get(f"CD{i}_{j}", 0.0)) for j in (1, 2)] for i in (1, 2)]
-    else:
-        cd = [
-            [
-                float(header.get(f"CDELT{i}", 1.0)) * float(header.get(f"PC{i}_{j}", i == j))
-                for j in (1, 2)
-            ]
-            for i in (1, 2)
-        ]
-    return {"kind": "tpv", "pv1": pv1, "pv2": pv2, "cd_deg": cd, "reference_px": reference}
+    return {
+        "kind": "tpv",
+        "pv1": pv1,
+        "pv2": pv2,
+        "cd_deg": _cd_deg(header),
+        "reference_px": reference,
+    }
+
+
+def _cd_deg(header: Header) -> list[list[float]]:
+    """The CD matrix, or what CDELT makes of PC or, without it, of the older CROTA2 [deg]."""
+    cd, pc = _matrix(header, "CD", 0.0), _matrix(header, "PC", 1.0)
+    if cd is not None:
+        return cd
+    x, y = (float(header.get(f"CDELT{i}", 1.0)) for i in (1, 2))
+    if pc is not None:
+        return [[x * value for value in pc[0]], [y * value for value in pc[1]]]
+    turn = math.radians(float(header.get("CROTA2", 0.0)))
+    c, s = math.cos(turn), math.sin(turn)
+    return [[x * c, -y * s], [x * s, y * c]]
+
+
+def _matrix(header: Header, name: str, diagonal: float) -> list[list[float]] | None:
+    """The 2 x 2 matrix of the cards of a name, as CD1_1; None where there is no such card."""
+    cards = [[f"{name}{i}_{j}" for j in (1, 2)] for i in (1, 2)]
+    if not any(card in header for row in cards for card in row):
+        return None
+    plain = ((diagonal, 0.0), (0.0, diagonal))
+    return [[float(header.get(cards[i][j], plain[i][j])) for j in (0, 1)] for i in (0, 1)]

@@ -263,6 +263,10 @@ def test_refusals_of_darks(tmp_path):
     good = [saved(f"{k}.npy", np.zeros((8, 9), np.uint16)) for k in range(3)]
     assert open_darks(good).frames == 3
     assert open_darks([saved("cube.npy", np.zeros((5, 8, 9)))]).frames == 5
+    table_of_arrays, no_zip = tmp_path / "arrays.npy", tmp_path / "zip.npy"
+    with table_of_arrays.open("wb") as file:
+        np.savez(file, a=np.zeros((8, 9)))
+    no_zip.write_bytes(b"PK\x03\x04 no zip")
     for paths, says in (
         (good[:2], "at least 3"),
         ([*good, saved("other.npy", np.zeros((9, 8)))], "one shape"),
@@ -270,12 +274,22 @@ def test_refusals_of_darks(tmp_path):
         ([*good, saved("text.npy", np.array([["a"]]))], "numbers"),
         ([*good, tmp_path / "none.npy"], "existing"),
         ([*good, tmp_path / "dark.tif"], "existing"),
+        ([*good, table_of_arrays], "readable image"),
+        ([*good, no_zip], "readable image"),
     ):
         with pytest.raises(BadInput, match=says):
             open_darks(paths)
     nan = saved("nan.npy", np.full((8, 9), np.nan))
     with pytest.raises(BadInput, match="finite"):
         extract_library(open_darks([*good, nan]), 1.0, 10.0)
+
+
+def test_a_dark_of_no_known_type_of_number_is_refused(tmp_path):
+    path = tmp_path / "d.fits"
+    fits.PrimaryHDU(np.zeros((4, 8, 9), np.int16)).writeto(path)
+    path.write_bytes(path.read_bytes().replace(b"                  16", b"                   9", 1))
+    with pytest.raises(BadInput, match="readable image"):
+        open_darks([path]).band(0, 8)
 
 
 @pytest.mark.parametrize("name", ["d.fits", "d.fit", "d.fits.gz", "d.fits.fz", "d.npy"])

@@ -89,6 +89,28 @@ def test_cdelt_and_scamp(tmp_path):
     assert found["reference_px"] == [1499.5, -201.25]
 
 
+@pytest.mark.parametrize("more", [{"CROTA2": 30.0}, {"CROTA2": 30.0, "PC1_2": 0.5}])
+def test_an_older_header_turns_by_crota(more, tmp_path):
+    """As astropy has it: where there is no PC."""
+    cards = {k: v for k, v in TPV.items() if not k.startswith("CD")}
+    cards |= {"CDELT1": -2e-4, "CDELT2": 3e-4} | more
+    found = read_distortion(write(tmp_path / "lens.fits", cards))
+    if "PC1_2" in more:
+        true = np.diag([-2e-4, 3e-4]) @ [[1.0, 0.5], [0.0, 1.0]]
+    else:
+        true = WCS(fits.Header(cards)).pixel_scale_matrix
+    np.testing.assert_allclose(found["cd_deg"], true, rtol=1e-12, atol=1e-18)
+
+
+def test_a_packed_file_that_is_damaged_is_refused(tmp_path):
+    path = write(tmp_path / "lens.fits.gz", SIP)
+    whole = bytearray(path.read_bytes())
+    whole[12:40] = bytes(28)
+    path.write_bytes(whole)
+    with pytest.raises(BadInput, match="a readable FITS file or header"):
+        read_distortion(path)
+
+
 @pytest.mark.parametrize(
     ("content", "told"),
     [
