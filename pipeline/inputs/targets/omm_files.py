@@ -39,6 +39,20 @@ def read_omm(path: Path, field: str) -> dict[str, JsonObject]:
 
     BadInput for files that are none, of another theory (SGP4-XP), frame or time scale.
     """
+    out: dict[str, JsonObject] = {}
+    for fields in read_messages(path, field):
+        names = ("OBJECT_NAME", "OBJECT_ID", "NORAD_CAT_ID")
+        key = " | ".join(str(fields.get(n) or "").strip() for n in names)
+        if key in out:
+            raise BadInput(field, f"{key} twice in {path.name}", "each object once")
+        out[key] = mean_elements(fields, key, field)
+    if not out:
+        raise BadInput(field, path.name, "an OMM (JSON, KVN or XML) with EPOCH and MEAN_MOTION")
+    return out
+
+
+def read_messages(path: Path, field: str) -> list[JsonObject]:
+    """The keys and values of each OMM of a file, not checked; BadInput where it holds none."""
     text = read_text(path, field, LARGEST_BYTES)
     start = text.lstrip("\ufeff \t\r\n")[:1]
     try:
@@ -48,16 +62,7 @@ def read_omm(path: Path, field: str) -> dict[str, JsonObject]:
             raise TypeError("a list holds something else than messages")
     except (ValueError, TypeError, AttributeError, SyntaxError, RecursionError) as error:
         raise BadInput(field, path.name, f"an OMM as JSON, KVN or XML; {error}") from None
-    out: dict[str, JsonObject] = {}
-    for fields in sets:
-        names = ("OBJECT_NAME", "OBJECT_ID", "NORAD_CAT_ID")
-        key = " | ".join(str(fields.get(n) or "").strip() for n in names)
-        if key in out:
-            raise BadInput(field, f"{key} twice in {path.name}", "each object once")
-        out[key] = mean_elements(fields, key, field)
-    if not out:
-        raise BadInput(field, path.name, "an OMM (JSON, KVN or XML) with EPOCH and MEAN_MOTION")
-    return out
+    return sets
 
 
 def read_text(path: Path, field: str, largest: int) -> str:

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, shorten
-from pipeline.inputs.targets.omm_files import mean_elements, read_omm
+from pipeline.inputs.targets.omm_files import mean_elements, read_messages
 from pipeline.physics.positions.orbit_sgp4 import mean_satellite, tle_satellite
 from pipeline.spec.targets.orbit import MeanElements, OmmOrbit, Orbit, TleOrbit
 
@@ -141,7 +141,7 @@ def _from_pair(name: str, line1: str, line2: str, at: int) -> ElementSet:
 def _from_omm(fields: JsonObject) -> ElementSet:
     name, number = str(fields.get("OBJECT_NAME") or ""), str(fields.get("NORAD_CAT_ID") or "0")
     try:
-        given = fields.get("elements") or mean_elements(fields, name or number, "elements")
+        given = mean_elements(fields, name or number, "elements")
         elements = MeanElements.model_validate(given)
         satellite = mean_satellite(elements.model_dump(), "elements")
         number_ = _catalogue_number(number)
@@ -168,9 +168,7 @@ def _catalogue_number(text: str) -> int:
 def _messages(path: Path, kind: str, field: str) -> Iterator[JsonObject]:
     """The keys and values of each OMM of a file."""
     if kind == "other":
-        for key, elements in read_omm(path, field).items():
-            name, _, number = key.rsplit(" | ", 2)  # a name may hold the sign itself
-            yield {"OBJECT_NAME": name, "NORAD_CAT_ID": number, "elements": elements}
+        yield from read_messages(path, field)
         return
     with path.open(encoding="utf-8-sig", newline="") as stream:
         try:
@@ -192,7 +190,7 @@ def _json(stream: IO[str], path: Path, field: str) -> Iterator[JsonObject]:
         if at < len(text):
             try:
                 value, at = decoder.raw_decode(text, at)
-            except (json.JSONDecodeError, RecursionError):
+            except (ValueError, RecursionError):  # a number of too many digits, too
                 value = None
             if isinstance(value, dict):
                 yield value

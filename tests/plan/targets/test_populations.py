@@ -280,6 +280,38 @@ def test_a_catalogue_number_that_cannot_be_is_told(
     assert f"NORAD_CAT_ID: {number!r} is not accepted; allowed: a whole number" in bad.fault
 
 
+def segment(omm: dict[str, Any]) -> str:
+    """An element set as part of an OMM in XML."""
+    told = {k: f"<{k}>{v}</{k}>" for k, v in omm.items()}
+    of_lines = "".join(told.pop(k) for k in ("NORAD_CAT_ID", "BSTAR"))
+    names = "".join(told.pop(k) for k in ("OBJECT_NAME", "OBJECT_ID"))
+    return (
+        f"<segment><metadata>{names}</metadata><data><meanElements>{''.join(told.values())}"
+        f"</meanElements><tleParameters>{of_lines}</tleParameters></data></segment>"
+    )
+
+
+@pytest.mark.parametrize("form", ["kvn", "xml", "json"])
+def test_one_malformed_set_leaves_the_others(
+    form: str, lines: list[list[str]], tmp_path: Path
+) -> None:
+    """Without BSTAR; one that stands twice is the same object, of which one counts."""
+    sets = [exporter.export_omm(Satrec.twoline2rv(a, b), name) for name, a, b in lines[:2]]
+    sets = [sets[0] | {"BSTAR": ""}, sets[1], sets[1]]
+    path = tmp_path / f"a.{form}"
+    if form == "json":
+        path.write_text(json.dumps(sets))
+    elif form == "kvn":
+        path.write_text("".join("CCSDS_OMM_VERS = 2.0\n" + "".join(
+            f"{k} = {v}\n" for k, v in s.items()) for s in sets))  # fmt: skip
+    else:
+        path.write_text(f"<ndm><omm><body>{''.join(map(segment, sets))}</body></omm></ndm>")
+    [[bad, good, again]] = population_files.element_sets(path, "f")
+    assert (bad.orbit, "no BSTAR" in bad.fault) == (None, True)
+    assert (good.name, good.number, good.fault) == (lines[1][0], int(lines[1][1][2:7]), "")
+    assert (good.orbit, good.number) == (again.orbit, again.number)
+
+
 def test_an_element_too_large_for_any_number_is_told(
     lines: list[list[str]], tmp_path: Path
 ) -> None:
@@ -403,6 +435,8 @@ BAD_FILES: dict[str, tuple[bytes, str]] = {
     "csv of another code page": (
         b"OBJECT_NAME,NORAD_CAT_ID,EPOCH,MEAN_MOTION\n" + b"A,1,2019-01-01T00:00:00,15\n" * 4000
         + b"\xff\n", "OMM as CSV or JSON .UTF-8.; 'utf-8' codec can't decode byte 0xff"),
+    "json with a number of too many digits": (
+        b'[{"EPOCH": "x", "MEAN_MOTION": ' + b"1" * 5000 + b"}]", "whole OMMs"),
 }  # fmt: skip
 
 
