@@ -201,7 +201,8 @@ def _sp3_line(line: str, dates: list[list[float]], rows: dict[str, dict[int, lis
             rows.setdefault(line[1:4].strip(), {})[len(dates) - 1] = place
     elif line[:1] == "V":
         place = rows.get(line[1:4].strip(), {}).get(len(dates) - 1, [])
-        place += [0.1 * float(line[c : c + 14]) for c in (4, 18, 32)] if place else []
+        speed = [0.1 * float(line[c : c + 14]) for c in (4, 18, 32)]
+        place += speed if place and any(speed) else []
 
 
 def _oem(text: str, path: Path, field: str) -> dict[str, list[Ephemeris]]:

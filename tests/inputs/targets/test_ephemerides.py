@@ -110,6 +110,22 @@ def test_time_systems_of_sp3(scale: str, tai_minus_s: int, tmp_path: Path) -> No
     assert found.place_m[0] == pytest.approx([1.5e7, -2e7, 9e6])
 
 
+@pytest.mark.parametrize("absent", [(), (1,), (0, 1, 2)])
+def test_velocities_of_sp3_that_are_zeros_are_not_known(
+    absent: tuple[int, ...], tmp_path: Path
+) -> None:
+    """As its standard has it: of all rows, or of one, the speeds follow from the places."""
+    rows = []
+    for m in range(3):
+        speed = 0.0 if m in absent else 30_000.0
+        rows.append(f"*  2017  2 14  0 {15 * m:2d}  0.00000000")
+        rows += [f"{k}C01" + f"{v:14.6f}" * 3 for k, v in (("P", 9_000.0 + m), ("V", speed))]
+    (tmp_path / "a.sp3").write_text("#dV2017\n" + "\n".join(rows) + "\nEOF\n")
+    (found,) = read_ephemeris(tmp_path / "a.sp3", None, SCENE["epoch"], "f")["C01"]
+    assert len(found.place_m) == 3
+    assert (found.speed_m_s is None) == bool(absent)
+
+
 def test_sp3_between_its_rows(shared_data: Path) -> None:
     """Every second row omitted comes back within the error that the thinned table states."""
     path = sp3(shared_data)
