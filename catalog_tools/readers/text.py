@@ -31,6 +31,8 @@ Block = NDArray[np.uint8]
 TABLE_BYTES = 4 << 20  # of wanted fields in one table: about 28,000 rows of Gaia DR2
 TABLE_ROWS = 60_000
 LONGEST_LINE = 1 << 20
+BLANKS = " \t\r\v\f"  # of ASCII alone: bytes of other letters are no blanks
+NO_BLANKS = re.compile(rf"[^{BLANKS}]+")
 NULL_TEXTS = ("", "null", "NULL", "nan", "NaN", "NAN", *(" " * n for n in range(1, 33)))
 
 
@@ -134,10 +136,11 @@ def _names(line: bytes, where: str, layout: Layout) -> list[str]:
     except UnicodeDecodeError:
         raise BadInput(where, line[:40], "a header line in UTF-8") from None
     if layout.text == "whitespace":
-        names = text.split()
-    else:
-        names = [name.strip() for name in next(csv.reader([text], delimiter=layout.delimiter))]
-    return names
+        return NO_BLANKS.findall(text)
+    try:
+        return [name.strip() for name in next(csv.reader([text], delimiter=layout.delimiter))]
+    except csv.Error as error:
+        raise BadInput(where, text[:40], f"a header line of names ({error})") from None
 
 
 def _taker(
@@ -168,7 +171,7 @@ def _by_line(
     text = block.decode("latin-1")  # every byte stays itself
     if layout.text == "fixed":
         ranges = [layout.ranges[i] for i in kept]
-        lines = (line for line in text.split("\n") if line.strip())
+        lines = (line for line in text.split("\n") if line.strip(BLANKS))
         for row, line in enumerate(lines, before + 1):
             yield _fixed(line.rstrip("\r"), ranges, row, where)
         return
@@ -186,7 +189,7 @@ def _by_line(
 
 def _fields(line: str, layout: Layout, place: str) -> list[str]:
     if layout.text == "whitespace":
-        return line.split()
+        return NO_BLANKS.findall(line)
     try:
         return next(csv.reader([line.rstrip("\r")], delimiter=layout.delimiter, strict=True), [])
     except csv.Error as error:
@@ -199,7 +202,7 @@ def _fixed(line: str, ranges: list[tuple[int, int]], row: int, where: str) -> li
         if first <= len(line) < last:
             allowed = f"no line that ends within a column (bytes {first} to {last})"
             raise BadInput(f"{where} row {row}", f"{len(line)} bytes", allowed)
-    return [line[first - 1 : last].strip() for first, last in ranges]
+    return [line[first - 1 : last].strip(BLANKS) for first, last in ranges]
 
 
 def _parser(

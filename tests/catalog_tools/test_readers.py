@@ -211,6 +211,28 @@ def test_last_and_first_column_may_be_wanted(tmp_path, wanted):
     assert read(path)["source_id"].to_pylist() == ([7, 9] if wanted == "name" else [8, 6])
 
 
+@pytest.mark.parametrize(
+    "layout",
+    [
+        Layout(text="whitespace", columns=("name", "id")),
+        Layout(text="fixed", columns=("name", "id"), ranges=((1, 6), (7, 8))),
+    ],
+)
+def test_letters_whose_bytes_are_blanks_elsewhere_stay(tmp_path, layout):
+    """In Latin-1, in which bytes stay themselves, the last byte of these is a blank."""
+    names = ["\u00c5ke", "\u00e0", "b\u00e0", "\u0445x"]
+    lines = (name.encode() + b" " * (6 - len(name.encode())) + b" 7" for name in names)
+    (tmp_path / "a.txt").write_bytes(b"\n".join(lines) + b"\n")
+    (table,) = text.read_text(
+        tmp_path / "a.txt",
+        "source",
+        layout,
+        lambda names, _: {"name": "text", "id": "integer"},
+        zipped=False,
+    )
+    assert table.to_pydict() == {"name": names, "id": [7] * 4}
+
+
 def test_mixed_line_ends_byte_order_mark_comments_and_case(tmp_path):
     path = tmp_path / "odd.csv"
     path.write_bytes(

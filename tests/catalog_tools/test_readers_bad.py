@@ -81,6 +81,7 @@ def check(path, message, form=None):
         (f"{HEAD},pm,teff_val\n1,2,3,4,5,6\n".encode(), "pm says gaia_dr3"),
         (f"{HEAD},designation,ref_epoch\n1,2,3,4,Gaia DR3 5,2015.5\n".encode(), "one release"),
         (f"{HEAD}\n1,2\n3,4\n".encode(), "row 1: 2 fields 4 fields"),
+        (b"x" * 200_000 + b"\n1\n", "a header line of names (field larger than"),
     ],
 )
 def test_bad_files_are_refused_by_name(tmp_path, content, message):
