@@ -163,4 +163,5 @@ class Fields:
 def _leaves(data: object, where: str) -> list[str]:
     if not isinstance(data, dict) or not data:
         return [where]
-    return [leaf for k, v in data.items() for leaf in _leaves(v, f"{where}.{k}" if where else k)]
+    before = f"{where}." * bool(where)
+    return [leaf for k, v in data.items() for leaf in _leaves(v, f"{before}{k}")]

@@ -43,7 +43,10 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
         raise BadInput("FILE", str(path), f"JSON ({error})") from None
     notes = Notes()
     chance = Chance(np.random.default_rng(seed))
-    fields = Fields(settled(raw, chance))
+    try:
+        fields = Fields(settled(raw, chance))
+    except RecursionError:  # lists within a choice, choices within choices
+        raise BadInput("FILE", str(path), "values that are not nested so deeply") from None
     for name in IGNORED:
         fields.get(name)
     images: Images = {}
@@ -205,12 +208,10 @@ def _maps(
     """Dark current, flat and bias, numbers or images written beside the scene; the full well."""
     gain = f.number("fpa.a2d.gain", 1e-9, 1e9)
     offset = f.number("fpa.a2d.bias", -1e9, 1e9, 0.0)
-    bias = f.get("fpa.bias", 0.0)
-    if isinstance(bias, bool) or not isinstance(bias, int | float | np.ndarray):
-        raise BadInput("fpa.bias", bias, "a number or $sample")
+    bias = _level(f, "fpa.bias", 0.0)
     values = {
-        "dark_e_per_s": f.get("fpa.dark_current", 0.0),
-        "flat": f.get("fpa.gain", 1.0),
+        "dark_e_per_s": _level(f, "fpa.dark_current", 0.0),
+        "flat": _level(f, "fpa.gain", 1.0),
         "bias_dn": bias / gain + offset,
     }
     notes.converted.append(
@@ -227,11 +228,19 @@ def _maps(
                 value = np.maximum(value, 0.0)
             images[f"{name}.{key}.npy"] = value.astype(np.float32)
             out[key] = f"{name}.{key}.npy"
-        elif isinstance(value, int | float) and not isinstance(value, bool):
-            out[key] = float(value)
         else:
-            raise BadInput(f"fpa ({key})", value, "a number or $sample")
+            out[key] = value
     return out
+
+
+def _level(f: Fields, key: str, default: float) -> float | NDArray[np.float64]:
+    """A number, or an image that is left to chance."""
+    value = f.get(key, default)
+    if isinstance(value, np.ndarray):
+        return value
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise BadInput(key, value, "a number or $sample")
+    return f.number(key, -1e15, 1e15, default)
 
 
 def _full_well(

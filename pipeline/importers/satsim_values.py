@@ -193,6 +193,6 @@ def _worked_out(steps: object, where: str) -> float:
                 value = float(np.polyval(kwargs["coef"], value))
             else:
                 raise BadInput(f"{where}.$pipeline", name, "constant or poly")
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             raise BadInput(f"{where}.$pipeline", kwargs, f"what {name} takes") from None
     return value

@@ -191,7 +191,7 @@ def _table(
     lists = [f.get(f"{key}.{name}") for name in ("th", column)]
     try:
         th, value = (np.array(v, float) for v in lists)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise BadInput(f"{key}.{column}", lists[1], "lists of numbers") from None
     bad = not th.ndim == 1 < th.size or th.shape != value.shape
     if bad or th[0] != 0 or not th[-1] <= 180 or not (np.diff(th) > 0).all():

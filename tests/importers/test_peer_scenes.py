@@ -706,7 +706,9 @@ def test_limits_bad_satsim_files(tmp_path, published):
         ("geometry.obs.list", [{"mode": "line", "origin": [0, 0], "velocity": [0, 0]}]),
         ("geometry.stars.motion.translation", [float("nan"), 0]),
         ("fpa.gain", {"$generator": "x"}), ("fpa.bias", "x"), ("fpa.bias", [1]),
-        ("fpa.bias", {"a": 1}),
+        ("fpa.bias", {"a": 1}), ("fpa.bias", 10**400), ("fpa.dark_current", 10**400),
+        ("fpa.gain", float("nan")), ("fpa.dark_current", {"$pipeline": [
+            {"function": "constant", "kwargs": {"value": 10**400}}]}),
     ]  # fmt: skip
     for key, value in cases:
         data = json.loads(json.dumps(good))
@@ -733,6 +735,7 @@ def test_limits_bad_simsit_files(tmp_path, published):
         ("exptime: [0.1, 0.3]", "exptime: []"), ("th: &th [0.", "th: &th [0.5"),
         ("sites: ['ctio', 'kpno']", "sites: ['moon']"), ("gain: 1.0", "gain: .nan"),
         ("seed: 31", "seed: &a [*a]"), ("&th [0., 0.1, 0.2, 0.3]", "&th [0., 1, 2, .inf]"),
+        ("dthdr: [", "dthdr: [1" + "0" * 400 + ", "),
     ):  # fmt: skip
         assert old in good
         (tmp_path / "bad.yaml").write_text(good.replace(old, new))
@@ -771,3 +774,19 @@ def test_anchors_within_anchors_are_refused(text, tmp_path):
     path.write_text(text)
     with pytest.raises(BadInput, match="more than 100000 values"):
         read_simsit(path, "2020-01-01T00:00:00Z")
+
+
+@pytest.mark.parametrize("inner", ["list", "choice"])
+def test_choices_that_are_nested_too_deeply_are_refused(inner, satsim):
+    value: object = 0.3
+    for _ in range(400 if inner == "choice" else 900):
+        value = [value] if inner == "list" else {"$sample": "random.choice", "choices": [value]}
+    with pytest.raises(BadInput, match="not nested so deeply"):
+        satsim({"fpa.dark_current": {"$sample": "random.choice", "seed": 1, "choices": [value]}})
+
+
+def test_keys_that_are_no_text_are_named(published, tmp_path):
+    text = (published / "peers" / "simsit.yaml").read_text()
+    (tmp_path / "a.yaml").write_text(text + "\n2020-01-01: 3\n")
+    lost = read_simsit(tmp_path / "a.yaml", SIMSIT_EPOCH).notes.left_out
+    assert any("2020-01-01" in line for line in lost)
