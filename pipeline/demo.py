@@ -23,13 +23,17 @@ def run_demo(
 ) -> tuple[Path, JsonObject]:
     """Make FOLDER/catalogue (kept if it is there) and FOLDER/product; returns product, report.
 
-    A product of an earlier demo is continued, or taken as it is where it is complete.
+    A product of an earlier demo is continued, or taken as it is where it is complete. BadInput for
+    a folder of anything else, and for a demo's whose scene.yaml was changed.
     """
     scene_file = folder / "scene.yaml"
-    if folder.exists() and not scene_file.is_file() and any(folder.iterdir()):
-        raise BadInput("-o", str(folder), "a new folder, or that of an earlier demo")
+    scene = files("pipeline").joinpath("scenes/demo.yaml").read_bytes()
+    is_ours = scene_file.is_file() and scene_file.read_bytes() == scene
+    if folder.exists() and not is_ours and any(folder.iterdir()):
+        allowed = "a new folder, or that of an earlier demo with its scene.yaml as it was"
+        raise BadInput("-o", str(folder), allowed)
     folder.mkdir(parents=True, exist_ok=True)
-    scene_file.write_bytes(files("pipeline").joinpath("scenes/demo.yaml").read_bytes())
+    scene_file.write_bytes(scene)
     if not (folder / "catalogue").exists():
         say("making the synthetic catalogue (no star of it is real)")
         made = make_demo(

@@ -413,3 +413,12 @@ def test_a_closed_stream_changes_no_exit_code(closed, tmp_path):
     """As a daemon or a scheduler may start it; what is said goes nowhere."""
     line = f"{sys.executable} -m pipeline plan {tmp_path}/none {closed}"
     assert subprocess.run(["sh", "-c", line], capture_output=True).returncode == 2
+
+
+@pytest.mark.parametrize("more", [[], ["--replace"]])
+def test_a_demo_leaves_a_scene_that_is_not_its_own(more, tmp_path):
+    (tmp_path / "scene.yaml").write_text("name: mine\n")
+    result = nightglass("demo", "-o", tmp_path, *more)
+    assert (result.returncode, "Traceback" in result.stderr) == (2, False)
+    assert "that of an earlier demo with its scene.yaml as it was" in result.stderr
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("scene.yaml", "name: mine\n")]
