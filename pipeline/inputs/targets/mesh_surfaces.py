@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import math
 import zipfile
@@ -201,14 +202,22 @@ def _npy(path: Path, field: str) -> Array:
         raise BadInput(field, path.name, "an NPY file of numbers") from None
 
 
+def _cells(text: str) -> list[list[str]]:
+    """The rows of a table, without remarks and blank lines."""
+    lines = (line for line in text.splitlines() if line.strip())
+    return list(csv.reader(line for line in lines if not line.lstrip().startswith("#")))
+
+
 def _csv(raw: bytes, name: str, field: str) -> Array:
-    lines = raw.decode("utf-8", "replace").splitlines()
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    heads = [h.strip() for h in lines[0].split(",")] if lines else []
-    if any(c not in heads for c in COLUMNS):
+    try:
+        heads, *rows = _cells(raw.decode("utf-8-sig", "replace")) or [[]]
+    except csv.Error as error:
+        raise BadInput(field, name, f"a readable table; {error}") from None
+    heads = [head.strip() for head in heads]
+    if any(heads.count(c) != 1 for c in COLUMNS):
         raise BadInput(field, name, f"a first line with the columns {', '.join(COLUMNS)}")
     try:
-        table = np.array([line.split(",") for line in lines[1:]], float)
+        table = np.array(rows, float)
         return table[:, [heads.index(c) for c in COLUMNS]]
     except (ValueError, IndexError):
         raise BadInput(field, name, "rows of numbers under each column") from None

@@ -324,13 +324,19 @@ def _pieces(trimesh: Any, scene: Any, kind: str) -> Iterator[tuple[Array, str, s
         faces = np.asarray(mesh.faces)
         if kind == "ply" and (cut := filled(points, _polygons(mesh))) is not None:
             faces = cut
-        if faces.ndim != 2 or faces.shape[1] != 3:
-            raise ValueError("faces of fewer than three corners")
+        _check_faces(faces)
         if np.linalg.det(turn[:3, :3]) < 0.0:
             faces = faces[:, ::-1]
         material = str(getattr(getattr(mesh.visual, "material", None), "name", None) or "")
         thing = _thing(str(key), material) if kind == "obj" else _node(scene, str(node), mesh)
         yield points[faces], material, thing
+
+
+def _check_faces(faces: Ints) -> None:
+    if faces.ndim != 2 or faces.shape[1] != 3:
+        raise ValueError("faces of fewer than three corners")
+    if faces.min(initial=0) < 0:
+        raise ValueError("a face's corner below 0")
 
 
 def _polygons(mesh: Any) -> Any:

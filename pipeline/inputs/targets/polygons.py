@@ -17,7 +17,9 @@ CROSSED = "a face that crosses itself"
 MOST_CORNERS = 1000  # of a face that folds: the time to cut it grows faster than their square
 START = re.compile(rb"(?m)^[ \t]*(v[nt]?|f|o|g|usemtl)[ \t]+")
 REMARK = re.compile(rb"(?m)^((?:v[nt]?|f) [^\r\n#]*)#[^\r\n]*")
+BOM = b"\xef\xbb\xbf"  # before the text, as editors of some systems write it
 LINE = re.compile(rb"(?m)^(v|f) ([^\r\n]*)")
+MOST_CUTTING = 10**10  # sum of the cubes of corners of faces that fold: a minute or a few
 TOUCHING = 1e-12  # of a polygon's size, squared: a corner on an ear's side, an ear without area
 FOLDED = 1e-6  # of its largest triangle's area: what one of a fan may have on the wrong side
 
@@ -29,7 +31,7 @@ def plain_faces(raw: bytes) -> bytes:
     count corners that are given backwards from the end of the file; they pass over lines that begin
     with blanks or have a tab after their first word. ValueError for a corner 0.
     """
-    raw = re.sub(rb"\\\r?\n", b" ", raw)
+    raw = re.sub(rb"\\\r?\n", b" ", raw.removeprefix(BOM))
     raw = REMARK.sub(rb"\1", START.sub(rb"\1 ", raw))
     points, faces, backwards = [], [], []
     for line in LINE.finditer(raw):
@@ -81,7 +83,7 @@ def filled(points: Array, polygons: Sequence[Sequence[int]]) -> NDArray[np.int64
 
 
 def _folding(points: Array, polygons: Sequence[Sequence[int]]) -> list[int]:
-    """Which polygons, by places in `points`, their fans do not fill."""
+    """Which polygons, by places in `points`, their fans do not fill; ValueError for too many."""
     alike = defaultdict(list)
     for k, polygon in enumerate(polygons):
         alike[len(polygon)].append(k)
@@ -90,6 +92,8 @@ def _folding(points: Array, polygons: Sequence[Sequence[int]]) -> list[int]:
         if corners > 3:
             each = points[np.array([polygons[k] for k in some])]
             out += [some[i] for i in np.flatnonzero(folds(each))]
+    if sum(len(polygons[k]) ** 3 for k in out) > MOST_CUTTING:
+        raise ValueError(f"{len(out)} faces that fold, of so many corners: cut them first")
     return out
 
 

@@ -473,6 +473,34 @@ def test_a_face_of_two_corners_is_refused(tmp_path):
         read_mesh(write(tmp_path, content, "a.obj"), "m")
 
 
+def test_faces_that_fold_have_few_corners_together(tmp_path, monkeypatch):
+    """Two ends of 12 corners: the time to cut them grows with the cube of how many."""
+    path = write(tmp_path, prism(COMB, 0, "obj"))
+    monkeypatch.setattr("pipeline.inputs.targets.polygons.MOST_CUTTING", 2 * 12**3)
+    assert read_mesh(path, "m").closed.all()
+    monkeypatch.setattr("pipeline.inputs.targets.polygons.MOST_CUTTING", 2 * 12**3 - 1)
+    with pytest.raises(BadInput, match="2 faces that fold, of so many corners"):
+        read_mesh(path, "m")
+
+
+def test_a_mark_of_byte_order_moves_no_corner(tmp_path):
+    """Of a file that begins with one and has a point that no face uses, faces are as they were."""
+    points = [line for line in CUBE.splitlines() if line.startswith("v ")]
+    faces = [line for line in CUBE.splitlines() if line.startswith("f ")]
+    text = "\n".join([*points, "v 2 3 9", *faces]) + "\n"
+    marked, plain = (
+        read_mesh(write(tmp_path, text.encode(encoding), f"{encoding}.obj"), "m")
+        for encoding in ("utf-8-sig", "utf-8")
+    )
+    assert np.array_equal(marked.corners_m, plain.corners_m)
+
+
+def test_a_corner_below_the_first_of_a_ply_is_refused(tmp_path):
+    head = prism(DART, 0, "ply").rstrip().rpartition(" ")[0]
+    with pytest.raises(BadInput, match="corner below 0"):
+        read_mesh(write(tmp_path, f"{head} -1\n", "a.ply"), "m")
+
+
 def test_a_face_that_folds_has_few_corners(tmp_path):
     """Cut in a second, not in hours."""
     comb = [(x, y) for x in range(600) for y in ((0, 9) if x % 2 else (9, 0))]
@@ -672,6 +700,16 @@ def test_a_table_that_no_surface_has_is_told(tmp_path):
         assert all(f"t.npy: its BRDF differs by up to {share} of its largest" in t for t in told)
 
 
+def test_a_measured_table_as_spreadsheets_write_it(tmp_path):
+    """With a mark of byte order, and names and numbers in quotes."""
+    names = ("theta_i_deg", "theta_o_deg", "phi_deg", "brdf_per_sr")
+    lines = [names, *(map(repr, map(float, row)) for row in _rows())]
+    text = "".join(",".join(f'"{cell}"' for cell in line) + "\r\n" for line in lines)
+    path = write(tmp_path, text.encode("utf-8-sig"), "t.csv")
+    z = np.array([0.0, 0.0, 1.0])
+    assert read_brdf_table(path)[0](z, z, z) == pytest.approx(0.1)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "word"),
     [
@@ -684,6 +722,8 @@ def test_a_table_that_no_surface_has_is_told(tmp_path):
         ("t.npy", b"not numpy", "NPY"),
         ("t.txt", b"", "csv"),
         ("t.npy", b"PK\x03\x04 no zip", "NPY"),
+        ("t.csv", b"theta_i_deg,theta_o_deg,phi_deg,brdf_per_sr,phi_deg\n0,0,0,1,0\n", "columns"),
+        ("t.csv", b"x" * 200_000 + b"\n", "a readable table"),
         ("t.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(HUGE)) + HUGE, "NPY"),
     ],
 )
