@@ -26,6 +26,8 @@ LARGEST_BYTES = 500_000_000
 SPARE_ROWS = 8  # on either side of the exposures
 NAMED = ("qx", "qy", "qz", "qw")
 NUMBERED = (("q1", "q2", "q3", "q4"), ("q0", "q1", "q2", "q3"))
+USED = ("time_s", "time_utc", *NAMED, "q0", *NUMBERED[0], "frequency_hz", "arcsec2_per_hz")
+Columns = list[tuple[str, object]]  # of a file, by their names
 COLUMNS = "time_s or time_utc, then qx, qy, qz, qw (or q1 to q4, or q0 to q3, with `scalar`)"
 
 
@@ -177,7 +179,10 @@ def _utc(value: object, path: Path, field: str) -> tuple[float, float]:
 
 def _floats(values: object, path: Path, field: str) -> Array:
     try:
-        return np.asarray(values, dtype=np.float64)
+        numbers = np.asarray(values, dtype=np.float64)
+        if numbers.ndim != 1:
+            raise ValueError(f"each row holds {numbers.shape[1:]}")
+        return numbers
     except (ValueError, TypeError) as error:
         raise BadInput(field, path.name, f"numbers in every column; {error}"[:200]) from None
 
@@ -204,10 +209,13 @@ def _read(path: Path, field: str) -> JsonObject:
     except Exception as error:
         reason = " ".join(str(error).split())[:120]
         raise BadInput(field, path.name, f"a readable {path.suffix} table; {reason}") from None
-    return {str(name).strip().lower(): values for name, values in found.items()}
+    names = [str(name).strip().lower() for name, _ in found]
+    if twice := [name for name in USED if names.count(name) > 1]:
+        raise BadInput(field, f"{twice[0]} twice in {path.name}", "each column once")
+    return dict(zip(names, (values for _, values in found), strict=True))
 
 
-def _csv(path: Path) -> JsonObject:
+def _csv(path: Path) -> Columns:
     with path.open(newline="", encoding="utf-8-sig") as lines:
         rows = [r for r in csv.reader(lines) if r and not r[0].lstrip().startswith("#")]
     if not rows:
@@ -216,30 +224,30 @@ def _csv(path: Path) -> JsonObject:
     uneven = next((k for k, r in enumerate(body) if len(r) != len(head)), None)
     if uneven is not None:
         raise ValueError(f"row {uneven + 1} has {len(body[uneven])} values, not {len(head)}")
-    return {name: [r[i] for r in body] for i, name in enumerate(head)}
+    return [(name, [r[i] for r in body]) for i, name in enumerate(head)]
 
 
-def _npy(path: Path) -> JsonObject:
+def _npy(path: Path) -> Columns:
     """A structured array by its field names, or (n, 5): time_s and four numbers."""
     array = np.load(path, allow_pickle=False)
     if array.dtype.names:
-        return {name: array[name] for name in array.dtype.names}
+        return [(name, array[name]) for name in array.dtype.names]
     if array.ndim != 2 or array.shape[1] != 5:
         raise ValueError(f"an array of shape {array.shape}; (n, 5) is time_s and the quaternion")
-    return dict(zip(("time_s", "q1", "q2", "q3", "q4"), array.T, strict=True))
+    return list(zip(("time_s", "q1", "q2", "q3", "q4"), array.T, strict=True))
 
 
-def _parquet(path: Path) -> JsonObject:
+def _parquet(path: Path) -> Columns:
     table = arrow().parquet.read_table(path.absolute())
-    return {name: table[name].to_pylist() for name in table.column_names}
+    return [(name, table[name].to_pylist()) for name in table.column_names]
 
 
-def _fits(path: Path) -> JsonObject:
+def _fits(path: Path) -> Columns:
     with fits().open(path) as units:
         table = next((u for u in units if isinstance(u, fits().BinTableHDU)), None)
         if table is None:
             raise ValueError("it holds no binary table")
-        return {name: np.array(table.data[name]) for name in table.columns.names}
+        return [(name, np.array(table.data[name])) for name in table.columns.names]
 
 
 def _spectrum(path: Path, field: str) -> JsonObject:

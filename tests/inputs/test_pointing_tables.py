@@ -113,6 +113,7 @@ BAD = {
     "empty": ("", "empty"),
     "no scalar": ("time_s,q1,q2,q3,q4\n0,0,0,0,1\n99,0,0,0,1\n", "numbers its columns"),
     "one row": (HEAD + "0,0,0,0,1\n", "two rows"),
+    "column twice": ("time_s,qx,qy,qz,qw, QX\n0,0,0,0,1,0\n50,0,0,0,1,0\n", "each column once"),
 }
 
 
@@ -161,6 +162,10 @@ def test_files_that_are_no_tables(tmp_path: Path) -> None:
         path.write_bytes(raw)
         with pytest.raises(BadInput, match=r"pointing\.path"):
             gather_pointing(scene({"path": str(path)}))
+    pairs = [(name, "f8", (2,)) for name in ("qx", "qy", "qz", "qw")]
+    np.save(tmp_path / "a.npy", np.zeros(2, [("time_s", "f8"), *pairs]))
+    with pytest.raises(BadInput, match=r"numbers in every column; each row holds \(2,\)"):
+        gather_pointing(scene({"path": str(tmp_path / "a.npy")}))
     with pytest.raises(BadInput, match="existing file"):
         gather_pointing(scene({"path": str(tmp_path / "none.csv")}))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import takewhile
@@ -49,6 +50,7 @@ _PARTS = {  # of an OEM, by the line before them
     "META_STOP": "data",
     "COVARIANCE_STOP": "data",
 }
+USED = re.compile(r"x_k?m|y_k?m|z_k?m|v[xyz]_k?m_s")  # columns of a CSV file, beside its time's
 _TIME = re.compile(r"(\d{4})-(\d{2})-(\d{2})T(\d{2}):(\d{2})(?::(\d{2}(?:\.\d*)?))?Z?")
 
 
@@ -131,7 +133,8 @@ def _to_utc(calendar: Array, scale: str, path: Path, field: str) -> tuple[Array,
     dtf2d = era.dtf2d(
         b"UTC" if scale == "UTC" else b"TAI", year, month, day, hour, minute, calendar[:, 5]
     )
-    if (np.asarray(dtf2d[2]) < 0).any() or (year < 1900).any() or (year > 2100).any():
+    status = np.asarray(dtf2d[2])  # 1: a year whose leap seconds are not known
+    if (status < 0).any() or (status > 1).any() or (year < 1900).any() or (year > 2100).any():
         raise BadInput(field, path.name, "dates that exist, years 1900 to 2100")
     if scale == "UTC":
         return np.asarray(dtf2d[0]), np.asarray(dtf2d[1])
@@ -277,6 +280,8 @@ def _narrow(table: Ephemeris, i: int, edge: tuple[Array, Array]) -> None:
 
 def _csv(text: str, path: Path, frame: str, epoch: str, field: str) -> Ephemeris:
     names, *lines = _csv_rows(text, path, field)
+    if twice := [n for n, many in Counter(names).items() if many > 1 and USED.fullmatch(n)]:
+        raise BadInput(field, f"{twice[0]} twice in {path.name}", "each column once")
     column = {name: values for name, *values in zip(names, *lines, strict=True)}
     parts = [_triple(column, "{}_m", "{}_km", "xyz", path, field)]
     if any(map(re.compile("v[xyz]_").match, names)):

@@ -515,6 +515,11 @@ def test_observer_from_a_file_and_scenes_without(tmp_path: Path) -> None:
         ("a.sp3", "#cP2017\n*  2017  2 14  0\n", {}, "SP3 numbers; an epoch of six"),
         ("a.csv", "time_s,x_m,y_m,z_m\n", {"frame": "gcrs"}, "at least one row"),
         ("a.csv", 'time_s,x_m,y_m,z_m\n"' + 140_000 * "1,", {"frame": "gcrs"}, "a readable table"),
+        ("a.csv", "time_s,x_m,y_m,z_m, X_m\n0,1,2,3,1\n1,1,2,3,1\n", {"frame": "gcrs"}, "once"),
+        ("a.csv", "time_utc,x_m,y_m,z_m\n2019-05-12T23:59:60,1,2,3\n2019-05-13T00:01:00,1,2,3\n",
+         {"frame": "gcrs"}, "dates that exist"),
+        ("a.csv", "time_tai,x_m,y_m,z_m\n2019-05-12T23:59:61.5,1,2,3\n2019-05-13T00:01:00,1,2,3\n",
+         {"frame": "gcrs"}, "dates that exist"),
     ],
 )  # fmt: skip
 def test_limits_damaged_tables(
