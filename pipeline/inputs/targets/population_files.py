@@ -28,6 +28,7 @@ LARGEST_TABLE_BYTES, MOST_ROWS = 256_000_000, 2_000_000
 LONGEST_LINE, LONGEST_OBJECT = 4096, 1 << 20
 HIGHEST_NUMBER = 1e9  # of a catalogue
 BATCH = 16_384
+REMARK = r"\s*$|#"  # of lines that are passed over in files of two-line elements
 SIZES = ("norad_id", "diameter_m", "albedo")  # columns of a table of them
 
 
@@ -76,12 +77,13 @@ def _kind(path: Path, field: str) -> str:
     text = head.decode("utf-8-sig", "replace").lstrip()
     if not text:
         raise BadInput(field, path.name, "a file that is not empty")
-    first = text.splitlines()[0]
-    if text[0] in "[{":
+    lines = [line for line in text.splitlines() if not re.match(REMARK, line)]
+    first = next(iter(lines), "")
+    if re.match(r"\[\s*([{\]]|$)|\{\s*([\"}]|$)", text):
         return "json"
     if "," in first and "MEAN_MOTION" in first:
         return "csv"
-    return "other" if text[0] == "<" or "=" in first else "tle"
+    return "other" if re.match(r"\s*(<[?!A-Za-z]|[A-Z_]{3,}\s*=)", first) else "tle"
 
 
 def _lines(path: Path, field: str) -> Iterator[tuple[int, str]]:
@@ -106,7 +108,7 @@ def _from_lines(path: Path, field: str) -> Iterator[ElementSet]:
     """Pairs of lines, each after the line of its name where there is one."""
     name, first, at = "", "", 0
     for number, line in _lines(path, field):
-        if re.match(r"\s*$|#", line):
+        if re.match(REMARK, line):
             continue
         kind = _kind_of(line, first)
         if kind == "pair":

@@ -24,17 +24,18 @@ Array = NDArray[np.float64]
 
 SGP4_KINDS = (" ", "0", "2", "3")  # ephemeris types, in column 63 of line 1
 _NUMBER = r"(?=.*\d)[ \d.+-]+"
+_SATELLITE = r" *[0-9A-HJ-NP-Z]?\d+"  # I and O stand for no digits
 # name, first and last column (1-based), what may stand there
 _COLUMNS = {
     1: (
-        ("satellite number", 3, 7, r" *[0-9A-Z]?\d+"),
+        ("satellite number", 3, 7, _SATELLITE),
         ("epoch", 19, 32, r"[ \d]\d(?:  |[ \d]\d)\d\.\d+ *"),
         ("first derivative of the mean motion", 34, 43, _NUMBER),
         ("second derivative of the mean motion", 45, 52, _NUMBER),
         ("drag term", 54, 61, _NUMBER),
     ),
     2: (
-        ("satellite number", 3, 7, r" *[0-9A-Z]?\d+"),
+        ("satellite number", 3, 7, _SATELLITE),
         ("inclination", 9, 16, r" *\d+\.\d+ *"),
         ("node", 18, 25, r" *\d+\.\d+ *"),
         ("eccentricity", 27, 33, r" *\d+ *"),

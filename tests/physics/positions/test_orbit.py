@@ -120,6 +120,8 @@ def test_limits_a_leap_second_does_not_move_the_satellite() -> None:
         (with_checksum(LINE1[:18] + "19366.00000000" + LINE1[32:]), LINE2, ["line1", "365 days"]),
         (with_checksum(LINE1[:18] + "20367.50000000" + LINE1[32:]), LINE2, ["line1", "366 days"]),
         (with_checksum(LINE1[:18] + "19000.50000000" + LINE1[32:]), LINE2, ["line1", "365 days"]),
+        (with_checksum(LINE1.replace("25544", "I5544", 1)), LINE2, ["line1", "satellite number"]),
+        (with_checksum(LINE1.replace("25544", "O5544", 1)), LINE2, ["line1", "satellite number"]),
     ],
 )
 def test_limits_malformed_elements(line1: str, line2: str, words: list[str]) -> None:

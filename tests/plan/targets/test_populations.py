@@ -291,6 +291,16 @@ def segment(omm: dict[str, Any]) -> str:
     )
 
 
+@pytest.mark.parametrize("first", ["# epoch = 2026-01-01", "\n# of [2026]", "A = B", "[DEB] X"])
+def test_lines_before_the_first_set_do_not_tell_the_kind(
+    first: str, lines: list[list[str]], tmp_path: Path
+) -> None:
+    path = tmp_path / "a.tle"
+    path.write_text("\n".join([first, *lines[0][1:]]) + "\n")
+    [[found]] = population_files.element_sets(path, "f")
+    assert (found.number, found.fault) == (int(lines[0][1][2:7]), "")
+
+
 @pytest.mark.parametrize("form", ["kvn", "xml", "json"])
 def test_one_malformed_set_leaves_the_others(
     form: str, lines: list[list[str]], tmp_path: Path
