@@ -44,6 +44,7 @@ Array = NDArray[np.float64]
 MOST_POINTS = 1_000_000
 ROWS = 1_000_000  # that are held before they are written
 ENDINGS = (".parquet", ".csv")
+PLOTS = (".png", ".svg", ".pdf")
 
 
 @dataclass(frozen=True)
@@ -174,6 +175,8 @@ def write_light_curves(
     only one as a PNG where `plot` is given (needs matplotlib); how many there were."""
     if plot is not None:
         need_matplotlib("leave out --plot")
+        if plot.suffix.lower() not in PLOTS:
+            raise BadInput("--plot", plot.name, f"a name that ends in {', '.join(PLOTS)}")
     check_ending(table, ENDINGS)
     ending = table.suffix.lower()
 

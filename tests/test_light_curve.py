@@ -226,6 +226,13 @@ def test_no_plot_of_many(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_a_plot_of_no_known_form_is_refused(tmp_path: Path) -> None:
+    curves = light_curves(parse_scene(SCENE), ["ball"], BAND, points=5)
+    with pytest.raises(BadInput, match=r"^--plot: 'a\.foo' .* \.png, \.svg, \.pdf"):
+        write_light_curves(curves, tmp_path / "a.parquet", tmp_path / "a.foo")
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_table_that_cannot_be_written_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -59,5 +59,5 @@ def _records(folder: Path) -> list[JsonObject]:
             from_json(record["coverage"])
             set(record["files"])
         return list(document["records"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return []

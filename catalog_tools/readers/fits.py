@@ -21,6 +21,7 @@ BLOCK_BYTES = 2880
 PIECE_BYTES = 4 << 20
 CARD_BYTES = 80
 MOST_HEADER_BLOCKS = 1000
+MOST_AXES = 999
 STANDARD = "FITS headers to the standard"
 # FITS standard 4.0, table 18: format and bytes of one element
 TYPES = {
@@ -149,7 +150,10 @@ def _keywords(header: bytes, where: str) -> JsonObject:
     try:
         cards = Header.fromstring(header.decode("ascii")).cards
         values = {card.keyword: card.value for card in cards if card.keyword}
-        axes = [f"NAXIS{i + 1}" for i in range(int(values.get("NAXIS", 0)))]
+        count = int(values.get("NAXIS", 0))
+        if not 0 <= count <= MOST_AXES:
+            raise ValueError(f"NAXIS = {count}")
+        axes = [f"NAXIS{i + 1}" for i in range(count)]
         lengths = {name: int(values[name]) for name in axes}
         _data_bytes(values)
     except Exception as error:  # astropy's parser has many ways to fail

@@ -126,6 +126,7 @@ MOTION = '\n[pmra]\nfrom = "m"\nunit = "mas/yr"\n'
         ("[source_id]", "[source_id]\nfirst = 5", "source_id.first"),
         ("[ra]", "[ra]\nscales = 5", "ra.scales"),
         ('name = "survey"', 'name = "survey"\nepoch_jyear = 2000.0', "epoch_jyear"),
+        ("2000.0", "1" + "0" * 400, "a finite number"),
     ],
 )
 def test_every_mistake_in_a_map_is_named(tmp_path, old, new, message):
@@ -143,6 +144,10 @@ def test_unknown_names_are_refused_with_the_known_ones(tmp_path):
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(BadInput, match="TOML"):
         load_form(tmp_path / "binary.toml")
+    for name, value in (("digits", "1" * 5000), ("deep", "[" * 2000 + "]" * 2000)):
+        (tmp_path / f"{name}.toml").write_text(f"name = {value}\n")
+        with pytest.raises(BadInput, match="TOML"):
+            load_form(tmp_path / f"{name}.toml")
     (tmp_path / "long.toml").write_text("#" * (1 << 20) + "\n")
     with pytest.raises(BadInput, match="at most 1 MiB"):
         load_form(tmp_path / "long.toml")

@@ -243,6 +243,7 @@ def test_fits_extensions_of_any_size_before_the_table_are_passed_over(tmp_path, 
         ("COMMENT of 80 bytes", "TSCAL2  = 'x       '", ": 'x' FITS headers to the standard"),
         ("COMMENT of 80 bytes", "TZERO1  = 1E300", "source_id row 1: 1e+300 integers"),
         ("END", "COMMENT", "1000 blocks a FITS header that has an END"),
+        ("NAXIS   =                    2", "NAXIS   =            999999999", "NAXIS = 999999999"),
     ],
 )
 def test_fits_headers_that_break_the_standard(tmp_path, few, card, changed, message):

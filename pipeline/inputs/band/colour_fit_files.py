@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -137,4 +138,4 @@ def _numbers(values: JsonValue, least: int, most: int) -> bool:
 
 def _is_number(value: JsonValue, low: float = -math.inf, high: float = math.inf) -> bool:
     right = isinstance(value, int | float) and not isinstance(value, bool)
-    return right and math.isfinite(value) and low <= value <= high
+    return right and abs(value) <= sys.float_info.max and low <= value <= high

@@ -9,6 +9,7 @@ LSST's harvested events (imSim) have the same columns, without `frame` and those
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +47,14 @@ def read_library(path: Path, field: str = FIELD) -> Library:
             lacking = [name for name in COLUMNS if name not in names]
             if lacking:
                 raise BadInput(field, str(path), f"a table with a column {lacking[0]}")
-            event, x0, y0 = (np.asarray(table[n]).astype(np.int64) for n in COLUMNS[:3])
-            frame = np.asarray(table["frame"]).astype(np.int64) if "frame" in names else None
-            spans = [np.asarray(span, dtype=np.float64) for span in table["pixel_values"]]
+            whole = [name for name in (*COLUMNS[:3], "frame") if name in names]
+            event, x0, y0, *frame = (np.asarray(table[n]).astype(np.int64) for n in whole)
+            spans = [np.atleast_1d(np.asarray(s, np.float64)) for s in table["pixel_values"]]
+            _check_dimensions([event, x0, y0, *frame, *spans])
             header = dict(hdus[TABLE].header)
     except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
         raise BadInput(field, str(path), f"a readable FITS table; {error}") from None
-    return _library(path, field, header, event, frame, x0, y0, spans)
+    return _library(path, field, header, event, next(iter(frame), None), x0, y0, spans)
 
 
 def _library(
@@ -98,6 +100,12 @@ def _library(
         frames,
         of_event,
     )
+
+
+def _check_dimensions(arrays: Iterable[np.ndarray]) -> None:
+    """ValueError unless columns hold a number in each row, and spans of pixels are runs."""
+    if any(array.ndim != 1 for array in arrays):
+        raise ValueError("a row holds more than one number, or more than a run of pixels")
 
 
 def _check_rows(path: Path, field: str, electrons: NDArray[np.float64], x0: Ints, y0: Ints) -> None:

@@ -138,7 +138,7 @@ def _rows(path: Path, field: str, heading: bool = True) -> list[list[str]]:
         if path.stat().st_size > LARGEST_BYTES:
             raise BadInput(field, str(path), f"a table of at most {LARGEST_BYTES} bytes")
         lines = path.read_text(encoding="utf-8-sig").splitlines()
-        rows = [r for r in csv.reader(li for li in lines if li.strip()) if not r[0].startswith("#")]
+        rows = [r for r in csv.reader(li for li in lines if li.strip()) if r[0].lstrip()[:1] != "#"]
     except (OSError, ValueError, csv.Error) as error:
         raise BadInput(field, str(path), "a readable text file") from error
     if heading and rows and not _is_number(rows[0][0]):

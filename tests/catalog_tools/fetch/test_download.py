@@ -80,6 +80,8 @@ def test_what_another_program_says_of_coverage_is_not_taken(archive, tmp_path, h
     paths, place = [tmp_path / name for name in archive.files], tmp_path / COVERAGE_NAME
     place.write_text(place.read_text().replace(FORMAT, "another/1"))
     assert stated_coverage(paths) == (None, ())
+    place.write_text("[" * 100_000)
+    assert stated_coverage(paths) == (None, ())
     bring(archive, tmp_path, hasty)
     assert stated_coverage(paths)[0] is not None
 

@@ -226,6 +226,19 @@ def test_refusals_of_libraries(tmp_path):
     ):
         with pytest.raises(BadInput, match=says):
             read_library(table(tmp_path, **changed))
+    odd = {
+        "pixel_values": ("4E", [[[1.0, 2.0]] * 2] * 2, "(2,2)"),
+        "x0": ("2J", [[3, 4], [3, 4]], None),
+        "frame": ("2J", [[0, 0], [0, 0]], None),
+    }
+    for name, (form, values, shape) in odd.items():
+        with fits.open(table(tmp_path)) as hdus:
+            kept = [c for c in hdus[1].columns if c.name != name]
+            changed = fits.Column(name, form, array=np.array(values), dim=shape)
+            hdu = fits.BinTableHDU.from_columns([*kept, changed], hdus[1].header.copy())
+            hdu.writeto(tmp_path / "odd.fits", overwrite=True)
+        with pytest.raises(BadInput, match="readable FITS table"):
+            read_library(tmp_path / "odd.fits")
     crowd = GeneratedCosmicRays(kind="generated", rate_per_cm2_s=1e5)
     with pytest.raises(BadInput, match="events a frame"):
         gather_cosmic_rays(crowd, SENSOR, 1e4)

@@ -218,6 +218,15 @@ def test_bad_curves(tmp_path, text, said):
     assert caught.value.field == "background.stray_light.pst.path"
 
 
+def test_a_remark_may_be_indented(tmp_path):
+    path = tmp_path / "pst.csv"
+    found = []
+    for remark in ("", " # as measured\n"):
+        path.write_text(f"{remark}angle_deg,pst\n1,1e-4\n3,1e-5\n")
+        found.append(repr(read_pst(path)))
+    assert found[0] == found[1]
+
+
 def test_bad_albedo_maps(tmp_path):
     path = tmp_path / "map.csv"
     path.write_text("0.1,0.2,0.3\n0.4,0.5,0.6\n")
