@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from catalog_tools.documents import Arguments, JsonObject, JsonValue
 from pipeline.errors import BadInput, Missing, why_broken
 from pipeline.inputs.targets.mesh_surfaces import Palette
-from pipeline.inputs.targets.polygons import filled, plain_faces
+from pipeline.inputs.targets.polygons import CORNERS, HEADER_BYTES, filled, plain_faces, text_ply
 from pipeline.physics.meshes.facets import Facets, is_convex
 from pipeline.physics.meshes.model import Joint, MeshModel, RigidPart
 from pipeline.physics.meshes.shells import closed_shells, shell_volumes
@@ -43,7 +43,6 @@ MOST_FACETS = 2_000_000
 LARGEST_M = 1e5
 MANY_FACETS = 200_000
 MERGE = 1e-9  # of the size: corners closer than that are one
-HEADER_BYTES = 1 << 16
 FAN = 6  # TRIANGLE_FAN of glTF 2.0, 3.7.2.1
 HARMLESS = (  # extensions of glTF by how they begin: of colours and lamps alone, or taken
     "KHR_materials_",
@@ -301,8 +300,7 @@ def _parse(raw: bytes, kind: str, name: str, field: str) -> list[tuple[Array, st
             raw, options = _with_materials(plain_faces(raw))
         elif kind == "glb":
             _check_glb(_json_of(raw))
-        scene = trimesh.load_scene(io.BytesIO(raw), file_type=kind, process=False, **options)
-        pieces = list(_pieces(trimesh, scene, kind))
+        pieces = _loaded(trimesh, raw, kind, options)
     except MemoryError:
         raise
     except Exception as error:  # trimesh raises whatever its readers stumble upon
@@ -311,6 +309,20 @@ def _parse(raw: bytes, kind: str, name: str, field: str) -> list[tuple[Array, st
     if not sum(len(p[0]) for p in pieces):
         raise BadInput(field, name, f"a whole {kind.upper()} file with triangles in it")
     return pieces
+
+
+def _loaded(
+    trimesh: Any, raw: bytes, kind: str, options: Arguments
+) -> list[tuple[Array, str, str]]:
+    """The pieces of a file by trimesh; of a PLY that it cannot read in binary, of its text."""
+    try:
+        scene = trimesh.load_scene(io.BytesIO(raw), file_type=kind, process=False, **options)
+        return list(_pieces(trimesh, scene, kind))
+    except ValueError:
+        text = text_ply(raw)
+        if text is None:
+            raise
+    return _loaded(trimesh, text, kind, options)
 
 
 def _pieces(trimesh: Any, scene: Any, kind: str) -> Iterator[tuple[Array, str, str]]:
@@ -343,8 +355,12 @@ def _polygons(mesh: Any) -> Any:
     """The faces of a PLY as the file has them."""
     read = mesh.metadata["_ply_raw"]["face"]["data"]
     names = list(read if isinstance(read, dict) else read.dtype.names)
-    lists = read[next((n for n in names if n in ("vertex_index", "vertex_indices")), names[0])]
-    return lists if isinstance(read, dict) else lists["f1"]
+    lists = read[next((n for n in names if n in CORNERS), names[0])]
+    if isinstance(read, dict):
+        return lists
+    if np.ptp(lists["f0"]):
+        raise ValueError("faces of different numbers of corners")
+    return lists["f1"]
 
 
 def _told_facets(raw: bytes, kind: str) -> int:

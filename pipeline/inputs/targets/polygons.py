@@ -1,4 +1,4 @@
-"""Faces of mesh files that a fan of triangles does not fill, and corners counted backwards."""
+"""Faces of mesh files that readers take for others: that fold, are counted backwards, or differ."""
 
 from __future__ import annotations
 
@@ -13,6 +13,22 @@ Array = NDArray[np.float64]
 Triangles = list[tuple[int, int, int]]
 Span = tuple[int, int]
 
+# A name, the type of how many values it has where it is a list, and that of its values.
+PlyField = tuple[str, np.dtype[np.generic] | None, np.dtype[np.generic]]
+
+HEADER_BYTES = 1 << 16
+MOST_ROWS = 2_000_000  # of lists in a PLY, which are read one by one
+PLY_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+CORNERS = ("vertex_index", "vertex_indices")
 CROSSED = "a face that crosses itself"
 MOST_CORNERS = 1000  # of a face that folds: the time to cut it grows faster than their square
 START = re.compile(rb"(?m)^[ \t]*(v[nt]?|f|o|g|usemtl)[ \t]+")
@@ -52,6 +68,75 @@ def plain_faces(raw: bytes) -> bytes:
         out += [raw[last:start], text]
         last = stop
     return b"".join([*out, raw[last:]])
+
+
+def text_ply(raw: bytes) -> bytes | None:
+    """A PLY in binary as text, its points and faces alone; None for any other file.
+
+    Readers take each list of corners to be as long as the first. ValueError where it ends early.
+    """
+    head = re.match(rb"ply\r?\n.*?\nend_header\r?\n", raw[:HEADER_BYTES], re.S)
+    if head is None or b"format binary" not in head[0]:
+        return None
+    order = "<" if b"format binary_little" in head[0] else ">"
+    at, read = head.end(), dict[str, np.ndarray]()
+    for name, rows, fields in _ply_elements(head[0].decode("latin-1"), order):
+        read[name], at = _ply_rows(raw, at, rows, fields)
+    points = np.stack([read["vertex"][axis] for axis in "xyz"], axis=1)
+    return _ply_text(points.astype(float), read["face"])
+
+
+def _ply_text(points: Array, faces: np.ndarray) -> bytes:
+    lines = [" ".join(map(repr, point)) for point in points.tolist()]
+    lines += [" ".join(map(str, [len(face), *face.tolist()])) for face in faces]
+    axes = "".join(f"property double {a}\n" for a in "xyz")
+    return (
+        f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{axes}element face {len(faces)}\n"
+        "property list int int vertex_indices\nend_header\n" + "\n".join(lines) + "\n"
+    ).encode()
+
+
+def _ply_elements(head: str, order: str) -> list[tuple[str, int, list[PlyField]]]:
+    """Elements by name, how many rows they have, and their fields."""
+    out: list[tuple[str, int, list[PlyField]]] = []
+    for words in map(str.split, head.splitlines()):
+        if words[:1] == ["element"]:
+            out.append((words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            kinds = [np.dtype(order + PLY_TYPES[kind]) for kind in words[1:-1] if kind != "list"]
+            out[-1][2].append((words[-1], kinds[0] if len(kinds) > 1 else None, kinds[-1]))
+    return out
+
+
+def _ply_rows(raw: bytes, at: int, rows: int, fields: list[PlyField]) -> tuple[np.ndarray, int]:
+    """An element's rows (n,), by field or, of one with lists, their corners; where the next begins.
+
+    ValueError for too many that have lists.
+    """
+    if all(count is None for _, count, _ in fields):
+        plain = np.frombuffer(raw, [(name, kind) for name, _, kind in fields], rows, at)
+        return plain, at + plain.nbytes
+    if rows > MOST_ROWS:
+        raise ValueError(f"{rows} rows of lists (at most {MOST_ROWS})")
+    out = np.empty(rows, object)
+    for k in range(rows):
+        out[k], at = _ply_row(raw, at, fields)
+    return out, at
+
+
+def _ply_row(raw: bytes, at: int, fields: list[PlyField]) -> tuple[NDArray[np.int64], int]:
+    """The corners that a row with lists holds (k,), and where the next begins."""
+    corners = np.empty(0, np.int64)
+    for name, count, kind in fields:
+        many = 1
+        if count is not None:
+            many = max(int(np.frombuffer(raw, count, 1, at)[0]), 0)
+            at += count.itemsize
+        values = np.frombuffer(raw, kind, many, at)
+        at += values.nbytes
+        if name in CORNERS:
+            corners = values.astype(np.int64)
+    return corners, at
 
 
 def _corners(text: bytes, so_far: int) -> list[int]:

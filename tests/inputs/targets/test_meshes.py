@@ -495,6 +495,33 @@ def test_a_mark_of_byte_order_moves_no_corner(tmp_path):
     assert np.array_equal(marked.corners_m, plain.corners_m)
 
 
+@pytest.mark.parametrize(("order", "form"), [("<", "little"), (">", "big")])
+@pytest.mark.parametrize("more", [False, True])
+@pytest.mark.parametrize("first", [0, 2])
+def test_a_binary_ply_may_have_faces_of_any_number_of_corners(tmp_path, order, form, more, first):
+    """As the same mesh in text; with other fields, and bytes after the last face."""
+    text = prism(COMB, 0, "ply").splitlines()
+    start = text.index("end_header") + 1
+    points, faces = text[start : start + 24], text[start + 24 :]
+    faces = faces[first:] + faces[:first]
+    plain = "\n".join([*text[:start], *points, *faces]) + "\n"
+    head = "\n".join(text[:start]).replace("ascii", f"binary_{form}_endian")
+    if more:
+        fields = "vertex_index\nproperty list uchar float uv\nproperty uchar red"
+        head = head.replace("vertex_index", fields)
+    raw = f"{head}\n".encode()
+    raw += np.array([p.split() for p in points], float).astype(f"{order}f8").tobytes()
+    for face in faces:
+        many, *corners = map(int, face.split())
+        raw += struct.pack(f"{order}B{many}i", many, *corners)
+        raw += struct.pack(f"{order}B2fB", 2, 0.0, 1.0, 7) * more
+    found = read_mesh(write(tmp_path, raw + b"\0" * more, "a.ply"), "m")
+    wanted = read_mesh(write(tmp_path, plain, "b.ply"), "m")
+    assert np.array_equal(found.corners_m, wanted.corners_m)
+    with pytest.raises(BadInput, match="a whole PLY file"):
+        read_mesh(write(tmp_path, raw[:-9], "c.ply"), "m")
+
+
 def test_a_corner_below_the_first_of_a_ply_is_refused(tmp_path):
     head = prism(DART, 0, "ply").rstrip().rpartition(" ")[0]
     with pytest.raises(BadInput, match="corner below 0"):
@@ -616,6 +643,12 @@ def test_facets_without_area_and_repeats_are_left_out(tmp_path):
         ("a.obj", b"PK\x03\x04 and more", "archive"),
         ("a.fbx", b"Kaydara", "obj"),
         ("a.glb", b"glTF" + bytes(8) + b"\xa0\x86\x01\x00JSON" + b"[" * 100_000, "triangles"),
+        (
+            "a.ply",
+            b"ply\nformat binary_little_endian 1.0\nelement strip 9999999\n"
+            b"property list uchar int rows\nend_header\n\1",
+            "at most 2000000",
+        ),
     ],
 )
 def test_bad_files_are_refused_by_name(tmp_path, name, content, word):
