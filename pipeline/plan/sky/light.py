@@ -89,8 +89,7 @@ class LightOfSky:
         """Where the charge of pixels y (n,) stands at a node: under TDI it takes even steps along
         as much of its way as is on the array."""
         way = self.camera.charge_px_s * (g.offset_s[f] - g.offset_s[f, g.middle])
-        first = np.maximum(y + way[0], -0.5)
-        last = np.minimum(y + way[-1], self.camera.rows - 0.5)
+        first, last = (np.clip(y + w, -0.5, self.camera.rows - 0.5) for w in way[[0, -1]])
         return np.asarray(first + node / (g.nodes - 1) * (last - first))
 
     @property

@@ -240,7 +240,7 @@ def _over_time(
     """
     knots, grids = g.frame, grid.values
     ny, nx = grids.shape[-2:]
-    error, doubtful = 0.0, np.diff(knots) > 1
+    error, settled, doubtful = 0.0, 0.0, np.diff(knots) > 1
     while doubtful.any():
         left, right = knots[:-1][doubtful], knots[1:][doubtful]
         middle = (left + right) // 2
@@ -251,6 +251,7 @@ def _over_time(
         off = np.abs(found - guess).max(axis=(1, 2))
         bad = set(middle[off > tolerance].tolist())
         error = float(off.max())
+        settled = max(settled, float(off[off <= tolerance].max(initial=0.0)))
         if not bad or len(knots) >= max(MOST_KNOTS, 2 * len(g.frame)) or grids.size > MOST_VALUES:
             break
         order = np.argsort(np.concatenate([knots, middle]), kind="stable")
@@ -259,7 +260,7 @@ def _over_time(
         near = np.isin(knots, list(bad))
         doubtful = (near[:-1] | near[1:]) & (np.diff(knots) > 1)
         error = 0.0
-    return knots, grids, error
+    return knots, grids, max(error, settled)
 
 
 def _parts_told(light: LightOfSky, g: Geometry) -> list[Decision]:

@@ -448,7 +448,7 @@ def test_the_background_of_the_facts_is_that_of_the_shortest_exposure(scene):
 
 
 @pytest.mark.parametrize("times_s", [(10.0,), (2.0, 10.0)])
-@pytest.mark.parametrize("rows_per_s", [20.0, 40.0])
+@pytest.mark.parametrize("rows_per_s", [20.0, 40.0, -40.0])
 def test_under_tdi_a_pixel_collects_the_sky_of_its_charges_way(scene, rows_per_s, times_s):
     """A uniform sky that fades to the edges as cos^4, over 60 degrees: its mean along as much of
     the way as is on the array, by quadrature. Each dwell has its own way."""
@@ -468,7 +468,7 @@ def test_under_tdi_a_pixel_collects_the_sky_of_its_charges_way(scene, rows_per_s
         moving |= {"dwells": [{"frames": 1, "integration_s": t} for t in times_s]}
     s, facts, sky, _ = planned(scene, moving)
     for k, time_s in enumerate(times_s):
-        half = 0.5 * rows_per_s * time_s
+        half = 0.5 * abs(rows_per_s) * time_s
         first, last = np.maximum(rows - half, -0.5), np.minimum(rows + half, 511.5)
         along = first[:, None] + (last - first)[:, None] * (np.arange(2000) + 0.5) / 2000.0
         wanted = bright * light(along).mean(axis=1)
