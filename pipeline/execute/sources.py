@@ -261,7 +261,7 @@ def place_targets(plan: ResolvedScene, g: Geometry, everywhere: bool = False) ->
         x0, y0 = float(x[g.middle]), float(y[g.middle])
         lit = light, seen[:-1] & seen[1:], g.target_clear[i, 0], electrons
         path, total = _lit_path(plan, x - x0, y - y0, *lit)
-        out.append(_seen(plan, g, FrameTarget(i, x0, y0, path, total * electrons)))
+        out.append(seen_as(plan, g, FrameTarget(i, x0, y0, path, total * electrons)))
     return out
 
 
@@ -370,7 +370,7 @@ def _mesh_seen(plan: ResolvedScene, g: Geometry, target: FrameTarget) -> FrameTa
     return replace(target, x_px=x, y_px=y, radius_px=radius)
 
 
-def _seen(plan: ResolvedScene, g: Geometry, target: FrameTarget) -> FrameTarget:
+def seen_as(plan: ResolvedScene, g: Geometry, target: FrameTarget) -> FrameTarget:
     """The target as a point where its light is, or with its disc where that shows.
 
     The disc and its lit side are those of mid-exposure.

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import zlib
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
 from pipeline.execute.sources import FrameTarget, place_targets
-from pipeline.execute.truth import lit_pixels, rows_and_columns, world_of
+from pipeline.execute.truth import lit_pixels, rows_and_columns, snr_of, world_of
 from pipeline.physics.constants import ARCSEC_RAD
+from pipeline.physics.targets.disc import Appearance
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.resolved import ResolvedScene
 
@@ -40,7 +42,7 @@ def measured(
 
 
 def centroid_covariance_px2(plan: ResolvedScene, target: FrameTarget, frame: int) -> Array:
-    """Least covariance (2, 2) of the place x, y of a point source along its path [px^2].
+    """Least covariance (2, 2) of the place x, y of a source along its path [px^2].
 
     The inverse of Fisher's information sum (F p_a)(F p_b) / (sigma0^2 + F p) over pixels, whose
     noise is that of `matched_snr`; F light, p the response of a pixel, p_a its slope with x or y
@@ -48,7 +50,19 @@ def centroid_covariance_px2(plan: ResolvedScene, target: FrameTarget, frame: int
     2^(1/2) s / SNR against the sky alone, s / SNR where the source's own photons are the noise. It
     is reached at high SNR; near the threshold centroids are worse. An image within one pixel tells
     nothing by its slopes: no place is less known than by the width of the image with its pixel.
+    Of a body that shows its size it grows from a point's as the width of the image does over its
+    SNR, as if it were a Gaussian: an upper bound, as a limb is steeper.
     """
+    point_px2, wide_px2 = _of_point(plan, target, frame)
+    if target.body is None:
+        return point_px2
+    found, point = (snr_of(plan, t, frame) for t in (target, replace(target, body=None)))
+    share = np.trace(point_px2) / np.trace(wide_px2) * (point / found) ** 2 if found else 1.0
+    return np.asarray((wide_px2 + _covariance_px2(target.body)) * min(1.0, share))
+
+
+def _of_point(plan: ResolvedScene, target: FrameTarget, frame: int) -> tuple[Array, Array]:
+    """The covariance (2, 2) of the place of a target as a point, and that of its image [px^2]."""
     y, x = target.y_px, target.x_px
     blur = plan.responses.near(y, y, x, x)[0]
     shifts = ((0.0, 0.0), (STEP_PX, 0.0), (-STEP_PX, 0.0), (0.0, STEP_PX), (0.0, -STEP_PX))
@@ -62,12 +76,20 @@ def centroid_covariance_px2(plan: ResolvedScene, target: FrameTarget, frame: int
     information = light**2 * (slopes / (floor_e2 + own)) @ slopes.T
     known, axes = np.linalg.eigh(information)
     row, column = rows_and_columns(places)
+    wide_px2 = np.cov(column, row, aweights=p, ddof=0)
     at = np.stack([column, row], axis=-1) @ axes
     off = at - np.average(at, axis=0, weights=p)
     widest_px2 = np.average(off**2, axis=0, weights=p) + 1.0 / 12.0
     if (known * widest_px2 >= 1.0).all():
-        return np.asarray(np.linalg.inv(information))
-    return np.asarray((axes / np.maximum(known, 1.0 / widest_px2)) @ axes.T)
+        return np.asarray(np.linalg.inv(information)), wide_px2
+    return (axes / np.maximum(known, 1.0 / widest_px2)) @ axes.T, wide_px2
+
+
+def _covariance_px2(body: Appearance) -> Array:
+    """Covariance (2, 2) of the light of a body in x and y."""
+    y0, y1, x0, x1 = body.box
+    y, x, share = body.points(1.0 / max(y1 - y0, x1 - x0, 1.0))
+    return np.asarray(np.cov(x, y, aweights=share, ddof=0))
 
 
 def _spread(places: NDArray[np.int64], place: NDArray[np.int64], value: Array) -> Array:

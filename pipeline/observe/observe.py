@@ -250,9 +250,9 @@ def _fill_others(
     lengths = np.hypot(streak[..., 0], streak[..., 1])
     for name, there in (("electrons", collected_e(plan, light)), ("streak_px", lengths)):
         columns[name] = np.where(others, there, columns[name])
-    for k, frame in enumerate(g.frame):
-        mine = np.flatnonzero(others[k])
-        columns["snr"][k, mine] = on_axis_snr(plan, light[k, mine], streak[k, mine], int(frame))
+    for k in range(len(g.frame)):
+        mine, one = np.flatnonzero(others[k]), g.frame_slice(k)
+        columns["snr"][k, mine] = on_axis_snr(plan, one, mine, light[k, mine], streak[k, mine])
 
 
 def _table(

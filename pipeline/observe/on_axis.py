@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
-from pipeline.execute.truth import matched_snr
+from pipeline.execute.sources import FrameTarget, seen_as
+from pipeline.execute.truth import snr_of
 from pipeline.physics.motion.streak import Path
 from pipeline.physics.vectors import rotate_minimal, unit
 from pipeline.plan.resolved import ResolvedScene
@@ -44,10 +46,15 @@ def on_axis_streaks_px(
     return np.asarray((own - camera[:, None]) / plan.facts.ifov_rad - charge)
 
 
-def on_axis_snr(plan: ResolvedScene, light_e: Array, streak_px: Array, frame: int) -> Array:
-    """Signal-to-noise (n,) of light (n,) swept along straight streaks (n, 2) in the middle."""
-    snr, (x, y) = np.zeros(len(light_e)), np.array(plan.camera.centre_px)[:, None]
-    for i in np.flatnonzero(light_e > 0.0):
-        ends = np.multiply.outer(streak_px[i], [-0.5, 0.5])
-        snr[i] = matched_snr(plan, Path(ends[0], ends[1], np.ones(1)), light_e[[i]], x, y, frame)[0]
+def on_axis_snr(
+    plan: ResolvedScene, g: Geometry, which: NDArray[np.int64], light_e: Array, streak_px: Array
+) -> Array:
+    """Signal-to-noise (n,) of targets `which` whose light (n,) is swept along straight streaks
+    (n, 2) in the middle of the one frame of `g`."""
+    snr, centre_px = np.zeros(len(which)), plan.camera.centre_px
+    for k in np.flatnonzero(light_e > 0.0):
+        ends = np.multiply.outer(streak_px[k], [-0.5, 0.5])
+        path = Path(ends[0], ends[1], np.ones(1))
+        target = FrameTarget(int(which[k]), *centre_px, path, float(light_e[k]))
+        snr[k] = snr_of(plan, seen_as(plan, g, target), int(g.frame[0]))
     return snr

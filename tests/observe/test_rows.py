@@ -21,6 +21,7 @@ from pipeline.spec.load import parse_scene
 from tests.command import nightglass
 from tests.observe.conftest import BALL, in_high_orbit, night
 from tests.physics.positions.test_orbit_skyfield import tle
+from tests.physics.targets.test_off_axis import scene_of
 
 ALONE: dict[str, Any] = {"targets": night()["targets"][:1]}
 
@@ -276,3 +277,24 @@ def test_a_population_none_of_which_is_drawn(tmp_path: Path, population: dict[st
     (tmp_path / "scene.json").write_text(json.dumps(scene))
     told = shown(tmp_path / "scene.json", "--times", "9e8,9e8,1")  # it has decayed
     assert told[0] == "0 rows (times x targets): no target to observe"
+
+
+@pytest.mark.parametrize("albedo", [1e-6, 1e-5])
+def test_a_disc_is_measured_as_a_disc_in_the_frame_and_beside_it(albedo: float) -> None:
+    """SNR of a sphere of 30 px is that of its pixels wherever the camera looks; and its place is
+    known worse than by a point's image, as its limb alone moves."""
+    data = scene_of(0.0, False, 12.0)
+    data["sensor"] |= {"focal_length_m": 0.125, "psf": {"kind": "gaussian", "sigma_px": 1.5}}
+    data["background"] = {"uniform_mag_arcsec2": 20.0}
+    data["targets"][0]["body"]["albedo"] = albedo
+    data["exposure"]["integration_s"] = 0.02
+    rows = []
+    for ra_deg in (270.0, 300.0):
+        data["pointing"] |= {"boresight_ra_deg": ra_deg, "boresight_dec_deg": 0.0}
+        (row,) = observe(parse_scene(data), centroid_seed=1).table.to_pylist()
+        rows.append(row)
+    assert [row["snr_at"] for row in rows] == ["frame", "boresight"]
+    assert rows[0]["snr"] == pytest.approx(rows[1]["snr"], rel=0.02)
+    sigma_px = rows[0]["centroid_sigma_arcsec"] / np.degrees(10e-6 / 0.125) / 3600.0
+    point = np.sqrt(2.0) * 1.5 / rows[0]["snr"]
+    assert 4.0 * point < sigma_px < 20.0 * point
