@@ -180,6 +180,16 @@ class SensorMaps:
         return float(np.median(getattr(self, name)))
 
 
+def seen_ends(start: Array, middle: Array, end: Array) -> tuple[Array, Array]:
+    """Where paths (n,) begin and end along an axis: of one that is behind the camera there (NaN),
+    where it is in the middle of its exposure, or else at its other end."""
+    out = []
+    for place, other in ((start, end), (end, start)):
+        near = np.where(np.isnan(middle), other, middle)
+        out.append(np.where(np.isnan(place), near, place))
+    return out[0], out[1]
+
+
 def select(table: Any, index: Any) -> Any:
     """Rows of a StarTable or FrameStars: those of a mask, or by their numbers in any order."""
     if np.asarray(index).dtype.kind == "b":

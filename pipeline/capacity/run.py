@@ -352,7 +352,7 @@ def _searched(course: StudyCourse, table: pa.Table) -> pa.Table:
     """All rows of a search: whatever is in a field is observed."""
     when, unit_ = table["time_s"].to_numpy(), table["unit"].to_numpy().astype(np.int64)
     dwell = np.array([course.watchers[j].dwell_s for j in course.units])[unit_]
-    frame = np.floor(when).astype(np.int64)
+    frame = np.floor(when / np.minimum(dwell, 1.0)).astype(np.int64)  # no two dwells share one
     chance = table["probability"].to_numpy().astype(float)
     seen = detected(course, frame, unit_, table["object"].to_numpy(), chance)
     return _observed(table, unit_, when - 0.5 * dwell, dwell, seen)

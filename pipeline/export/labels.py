@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from pipeline.arrays import seen_ends
 from pipeline.export.response import STEP_PX, arc_nodes, arc_segments
 from pipeline.physics.motion.streak import Box, within
 from pipeline.store.layout import TRUTH
@@ -155,6 +156,10 @@ def _part(path: Path, kind: int, frame: int, shape: tuple[int, int], least_snr: 
         got.setdefault(name, np.full(rows.num_rows, np.nan))
     for axis in "xy":
         got.setdefault(f"{axis}_light_px", got[f"{axis}_px"])
+        names_of = [f"{axis}_{at}px" for at in ("start_", "", "end_")]
+        start, end = seen_ends(*(got[n] for n in names_of))
+        middle = np.where(np.isnan(got[names_of[1]]), 0.5 * (start + end), got[names_of[1]])
+        got |= dict(zip(names_of, (start, middle, end), strict=True))
     kept = np.flatnonzero((got["electrons"] > 0) & (got["snr"] >= least_snr))
     kept = kept[np.argsort(-got["electrons"][kept], kind="stable")]
     n = len(kept)

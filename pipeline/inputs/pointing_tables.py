@@ -11,6 +11,7 @@ import numpy as np
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
+from pipeline.inputs.npy import read_npy
 from pipeline.lazily import arrow, fits
 from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.physics.motion.attitude_table import table_error_rad
@@ -229,7 +230,7 @@ def _csv(path: Path) -> Columns:
 
 def _npy(path: Path) -> Columns:
     """A structured array by its field names, or (n, 5): time_s and four numbers."""
-    array = np.load(path, allow_pickle=False)
+    array = read_npy(path)
     if array.dtype.names:
         return [(name, array[name]) for name in array.dtype.names]
     if array.ndim != 2 or array.shape[1] != 5:

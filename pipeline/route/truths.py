@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.arrays import FrameStars, concatenate
+from pipeline.arrays import FrameStars, concatenate, seen_ends
 from pipeline.execute.truth import star_truth, target_truth
 from pipeline.lazily import arrow
 from pipeline.plan.plan import Plan
@@ -114,7 +114,8 @@ def _of_stars(r: ResponsePlan, c: dict[str, np.ndarray]) -> SourceBounds:
 def _of_targets(plan: Plan, c: dict[str, np.ndarray]) -> SourceBounds:
     """Of the targets whose light reaches the frame; truth has the others, too."""
     r, (rows, columns) = plan.responses, plan.scene.sensor.shape
-    ends = _ends_px(c)
+    x, y = (seen_ends(*(c[f"{a}_{at}px"] for at in ("start_", "", "end_"))) for a in "xy")
+    ends = np.array([x[0], y[0], x[1], y[1]])
     size = np.nan_to_num(c["radius_px"])
     beyond = plan.halo_px + r.reach_core_px + size
     with np.errstate(invalid="ignore"):
@@ -124,19 +125,6 @@ def _of_targets(plan: Plan, c: dict[str, np.ndarray]) -> SourceBounds:
     light_e, size, extended = (v[near] for v in (c["electrons"], size, c["extended"]))
     known = c["frame"][near], ends[:, near], light_e, size, extended
     return of_targets(r, targets_known(r, (rows, columns), *known))
-
-
-def _ends_px(c: dict[str, np.ndarray]) -> np.ndarray:
-    """Places (4, n), x and y where each target is first, then last: of one that is behind the
-    camera then, where it is in the middle of its exposure, or else at its other end."""
-    out = []
-    for end, other in (("start", "end"), ("end", "start")):
-        for axis in "xy":
-            place = c[f"{axis}_{end}_px"]
-            for instead in (c[f"{axis}_px"], c[f"{axis}_{other}_px"]):
-                place = np.where(np.isnan(place), instead, place)
-            out.append(place)
-    return np.array(out)
 
 
 def _empty(plan: Plan, kind: str) -> pa.Table:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
+from pipeline.inputs.npy import read_npy
 from pipeline.lazily import open_fits
 from pipeline.physics.cosmic_rays.detect import (
     bad_pixels,
@@ -24,7 +24,7 @@ from pipeline.physics.cosmic_rays.library import Library
 
 BAND_BYTES = 256_000_000  # of the stack that is held at once
 FEWEST_FRAMES = 3
-UNREADABLE = (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile)
+UNREADABLE = (OSError, ValueError, EOFError, TypeError, AttributeError)
 DIGITAL_SIGMA = 12.0**-0.5  # noise of a frame whose pixels all hold one digital number
 
 
@@ -73,7 +73,7 @@ def _stored_shape(path: Path) -> tuple[int, ...]:
         raise BadInput("DARK_FRAMES", str(path), allowed)
     try:
         if path.suffix == ".npy":
-            stored = np.load(path, mmap_mode="r", allow_pickle=False)
+            stored = read_npy(path, mapped=True)
             shape, kind = stored.shape, stored.dtype.kind
         elif path.name.endswith((".fits", ".fits.gz", ".fit", ".fits.fz")):
             with open_fits(path) as hdus:
@@ -92,7 +92,7 @@ def _rows(path: Path, start: int, stop: int) -> NDArray[np.float32]:
     """Some rows of all frames of a file, (frames, rows, columns)."""
     try:
         if path.suffix == ".npy":
-            part = np.load(path, mmap_mode="r", allow_pickle=False)[..., start:stop, :]
+            part = read_npy(path, mapped=True)[..., start:stop, :]
         else:
             with open_fits(path) as hdus:
                 hdu = next(h for h in hdus if h.is_image and h.shape)

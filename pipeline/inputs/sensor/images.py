@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
+from pipeline.inputs.npy import read_npy
 from pipeline.lazily import fits, open_fits
 
 FITS_ENDINGS = (".fits", ".fits.gz", ".fit")
@@ -34,8 +34,8 @@ def read_image(path: Path, field: str) -> Array:
         raise BadInput(field, str(path), "a number, or an existing .npy, .fits or .zarr image")
     elif path.suffix == ".npy":
         try:
-            image = np.load(path, allow_pickle=False)
-        except (ValueError, OSError, EOFError, MemoryError, zipfile.BadZipFile) as error:
+            image = read_npy(path)
+        except (ValueError, OSError) as error:
             raise BadInput(field, str(path), f"a readable .npy image; {error}") from None
     elif path.name.endswith(FITS_ENDINGS):
         image = _read_fits(path, field)

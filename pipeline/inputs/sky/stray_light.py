@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import zipfile
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
 from pipeline.inputs.band.curves import resolve_response, solar_spectrum
+from pipeline.inputs.npy import read_npy
 from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.radiometry import band_photon_irradiance_sun
 from pipeline.physics.sky.moon import band_rate
@@ -118,8 +118,8 @@ def read_albedo(path: Path) -> Array:
 
 def _npy(path: Path) -> Array:
     try:
-        table = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError, MemoryError, zipfile.BadZipFile) as error:
+        table = read_npy(path)
+    except (OSError, ValueError) as error:
         raise BadInput(ALBEDO, str(path), f"a readable NPY file; {error}") from None
     if table.ndim != 2 or table.dtype.kind not in "fiu":
         raise BadInput(ALBEDO, str(path), "a two-dimensional array of numbers")

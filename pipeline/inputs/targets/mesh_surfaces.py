@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import math
-import zipfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import BadInput
+from pipeline.inputs.npy import read_npy
 from pipeline.physics.constants import SUN_RADIUS_RAD
 from pipeline.physics.meshes import brdf
 from pipeline.physics.meshes.brdf_table import BrdfTable, brdf_table
@@ -197,8 +197,8 @@ def _brdf_rows(path: Path, name: str) -> tuple[bytes, Array]:
 
 def _npy(path: Path, field: str) -> Array:
     try:
-        return np.asarray(np.load(path, allow_pickle=False), float)
-    except (ValueError, OSError, EOFError, TypeError, MemoryError, zipfile.BadZipFile):
+        return np.asarray(read_npy(path), float)
+    except (ValueError, OSError, TypeError):
         raise BadInput(field, path.name, "an NPY file of numbers") from None
 
 
