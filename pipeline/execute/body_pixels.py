@@ -11,7 +11,7 @@ from pipeline.arrays import Array
 from pipeline.physics.targets.disc import Appearance
 
 MOST_SIDE = 192  # cells across a picture: pixels, or squares of them that count as even
-BLOCK, ROW = 256, 1 << 20  # cells on a side of a square; squares of a row, for their numbers
+BLOCK, ROW = 64, 1 << 20  # cells on a side of a square; squares of a row, for their numbers
 FINEST = 2.0  # waves a cell that its points are true to
 LEAST = 1e-7  # of the brightest: cells that hold less are dark
 

@@ -60,10 +60,8 @@ async def submit(
             return JSONResponse(with_time(plan))
         if found.named:
             await service.looks.judge(request, service.caller.team, found.scene())
-    except NightglassError:
-        if dry_run or (job := await made_before(service, key, body, kind)) is None:
-            raise
-        return taken(service, job, False)
+    except NightglassError as error:
+        return await made_before(service, None if dry_run else key, body, kind, error)
     ask = service.store.ask(
         found.name,
         found.text,
@@ -80,12 +78,17 @@ def check_key(key: str | None) -> None:
         raise Malformed("an Idempotency-Key is 1 to 255 visible ASCII characters")
 
 
-async def made_before(service: Context, key: str | None, body: bytes, kind: str) -> Job | None:
-    """The job that a key made of a body that is refused now: what it names may have gone since."""
-    if key is None:
-        return None
-    data = await run_in_threadpool(parse_text, body, kind)
-    return await run_in_threadpool(service.store.known, key, digest_of(data))
+async def made_before(
+    service: Context, key: str | None, body: bytes, kind: str, refusal: NightglassError
+) -> Response:
+    """The job that a key made of a body that is refused now: what it names may have gone since. The
+    refusal where it made none."""
+    if key is not None:
+        data = await run_in_threadpool(parse_text, body, kind)
+        job = await run_in_threadpool(service.store.known, key, digest_of(data))
+        if job is not None:
+            return taken(service, job, False)
+    raise refusal
 
 
 def taken(service: Context, job: Job, made: bool, least_cpu_s: float | None = None) -> Response:

@@ -28,10 +28,8 @@ async def submit(
     data = await run_in_threadpool(parse_text, body, kind)
     try:
         study = await run_in_threadpool(accept_study, data, settings, service.has_file)
-    except NightglassError:
-        if dry_run or (job := await made_before(service, key, body, kind)) is None:
-            raise
-        return taken(service, job, False)
+    except NightglassError as error:
+        return await made_before(service, None if dry_run else key, body, kind, error)
     if dry_run:
         return JSONResponse(await service.looks.forecast(request, service.caller.team, study))
     digest = digest_of(data)

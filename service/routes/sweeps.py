@@ -45,10 +45,8 @@ async def submit(
             size = {"points": points, "pixel_frames": pixel_frames}
             return JSONResponse(size | {"base": with_time(plan)})
         await service.looks.judge(request, service.caller.team, sweep["scene"])
-    except NightglassError:
-        if dry_run or (job := await made_before(service, key, body, kind)) is None:
-            raise
-        return taken(service, job, False)
+    except NightglassError as error:
+        return await made_before(service, None if dry_run else key, body, kind, error)
     digest = digest_of(data)
     name = str(data.get("name", "sweep"))[:128]
     ask = service.store.ask(name, sweep, digest, key, kind="sweep", pixel_frames=pixel_frames)
