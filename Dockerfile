@@ -42,6 +42,6 @@ WORKDIR /data
 VOLUME /data
 STOPSIGNAL SIGTERM
 HEALTHCHECK --interval=30s --timeout=5s --start-period=20s --retries=3 \
-    CMD ["python", "-c", "import os, ssl, urllib.request; urllib.request.urlopen('http%s://127.0.0.1:8765/healthz' % ('s' * ('NIGHTGLASS_TLS_CERT' in os.environ)), timeout=4, context=ssl._create_unverified_context())"]
+    CMD ["python", "-c", "import os, ssl, urllib.request; urllib.request.urlopen('http%s://127.0.0.1:8765/healthz' % ('s' * bool(os.environ.get('NIGHTGLASS_TLS_CERT'))), timeout=4, context=ssl._create_unverified_context())"]
 ENTRYPOINT ["nightglass"]
 CMD ["serve", "--home", "/data"]

@@ -7,6 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
+from catalog_tools.storage.durable import write_atomically
 from catalog_tools.synthetic.synthetic import make_demo
 from pipeline.errors import BadInput
 from pipeline.route.draw import Listener
@@ -33,7 +34,7 @@ def run_demo(
         allowed = "a new folder, or that of an earlier demo with its scene.yaml as it was"
         raise BadInput("-o", str(folder), allowed)
     folder.mkdir(parents=True, exist_ok=True)
-    scene_file.write_bytes(scene)
+    write_atomically(scene_file, scene)
     if not (folder / "catalogue").exists():
         say("making the synthetic catalogue (no star of it is real)")
         made = make_demo(

@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 MOST_POINTS = 1_000_000
 ROWS = 1_000_000  # that are held before they are written
 ENDINGS = (".parquet", ".csv")
-PLOTS = (".png", ".svg", ".pdf")
+PLOTS = (".png", ".svg", ".pdf", ".eps", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
 
 
 @dataclass(frozen=True)

@@ -308,7 +308,8 @@ class Client:
                 if answer.status_code not in NOT_NOW:
                     raise problem
             except httpx.TransportError as error:
-                problem, lost = ServiceError(f"{self.url} does not answer: {error}"), True
+                problem = ServiceError(f"{self.url} does not answer: {error}")
+                lost |= not isinstance(error, httpx.ConnectError | httpx.ConnectTimeout)
             patience_s = self.patience_s if self._met else min(self.patience_s, FIRST_S)
             if time.monotonic() + pause_s > begun + patience_s:
                 raise problem

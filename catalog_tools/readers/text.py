@@ -189,7 +189,7 @@ def _by_line(
 
 def _fields(line: str, layout: Layout, place: str) -> list[str]:
     if layout.text == "whitespace":
-        return NO_BLANKS.findall(line)
+        return line.split() if line.isascii() else NO_BLANKS.findall(line)
     try:
         return next(csv.reader([line.rstrip("\r")], delimiter=layout.delimiter, strict=True), [])
     except csv.Error as error:

@@ -16,6 +16,7 @@ from pipeline.execute.sources import (
     place_targets,
     setting_stars,
     streaks,
+    too_short,
     whole_stars,
     zone_of,
 )
@@ -136,10 +137,12 @@ def _in_more_pieces(
     plan: Plan, g: Geometry, paths: list[Streak], stars: FrameStars
 ) -> list[Streak]:
     """The zones' streaks in more pieces; none where no star needs them."""
-    limit_e = min(0.0 if streak.uneven else streak.own_from_e for streak in paths)
     if not any(core.fine_phases for core in plan.responses.classes):
         return []
-    return streaks(plan, g, plan.responses.streaks.finer) if (stars.light_e > limit_e).any() else []
+    bright = stars.light_e > min(streak.own_from_e for streak in paths)
+    if not bright.any() and not too_short(plan, stars, paths).any():
+        return []
+    return streaks(plan, g, plan.responses.streaks.finer)
 
 
 def _some(every: Light, which: NDArray[np.intp]) -> Light:

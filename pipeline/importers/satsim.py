@@ -27,6 +27,7 @@ BAND = {"kind": "named", "name": "bessell-V"}
 ADC_BITS = {"uint8": 8, "uint16": 16, "uint32": 32}
 IGNORED = ("version", "sim")  # how SatSim computes, not what
 TRUTH = ("mv_truth", "pe_truth")  # of an object: what comes out
+DEEPEST = 64  # levels of lists and mappings in a file
 
 
 def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int = 0) -> Imported:
@@ -41,12 +42,11 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
         raw = json.loads(read_bytes(path))
     except (ValueError, RecursionError) as error:
         raise BadInput("FILE", str(path), f"JSON ({error})") from None
+    if not _is_shallow(raw):
+        raise BadInput("FILE", str(path), f"values that are nested {DEEPEST} deep at most")
     notes = Notes()
     chance = Chance(np.random.default_rng(seed))
-    try:
-        fields = Fields(settled(raw, chance))
-    except RecursionError:  # lists within a choice, choices within choices
-        raise BadInput("FILE", str(path), "values that are not nested so deeply") from None
+    fields = Fields(settled(raw, chance))
     for name in IGNORED:
         fields.get(name)
     images: Images = {}
@@ -87,6 +87,15 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
             f"lines: up to {off_px:.2g} px off between the first exposure and the last"
         )
     return Imported(f"SatSim {path.name}", data, images, notes)
+
+
+def _is_shallow(value: object) -> bool:
+    """Whether lists and mappings are nested DEEPEST levels at most."""
+    level = [value]
+    for _ in range(DEEPEST + 1):
+        inner = [v for v in level if isinstance(v, dict | list)]
+        level = [w for v in inner for w in (v.values() if isinstance(v, dict) else v)]
+    return not level
 
 
 def _sensor(f: Fields, notes: Notes, images: Images, name: str) -> JsonObject:

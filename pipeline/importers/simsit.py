@@ -105,10 +105,10 @@ def _check_extent(data: object) -> None:
     level, values = [data], 0
     while level:
         inner = [v for v in level if isinstance(v, dict | list)]
-        level = [w for v in inner for w in (v.values() if isinstance(v, dict) else v)]
-        values += len(level)
+        values += sum(map(len, inner))
         if values > MOST_VALUES:
             raise ValueError(f"more than {MOST_VALUES} values, with what its anchors stand for")
+        level = [w for v in inner for w in (v.values() if isinstance(v, dict) else v)]
 
 
 def _within(f: Fields, key: str, rng: np.random.Generator, low: float, high: float) -> float:

@@ -199,3 +199,14 @@ def integration_range_s(scene: Scene) -> tuple[float, float]:
 def longest_s(scene: Scene) -> float:
     """Longest integration time of a scene's frames [s]; 0 for bias frames alone."""
     return max(max(p.times_s[: p.frames]) for p in dwell_plans(scene))
+
+
+def simpson(moments: int, nodes: int) -> tuple[dict[int, float], float]:
+    """Weights of some of the nodes of an exposure, and their sum: of its middle alone, or those of
+    Simpson's rule over 3, 5, 9 ... moments."""
+    if moments == 1:
+        return {nodes // 2: 1.0}, 1.0
+    intervals = moments - 1
+    weights = [1.0, *(intervals // 2 - 1) * [4.0, 2.0], 4.0, 1.0]
+    places = [k * (nodes - 1) // intervals for k in range(moments)]
+    return dict(zip(places, weights, strict=True)), 3.0 * intervals

@@ -38,6 +38,7 @@ FLOOR = (
     "sensor.dark_e_per_s",
     "sensor.dark_scale",
 )
+FLAT = "sensor.flat"  # that errors of the light grow with
 SKY_FLOOR = ("background.uniform_e_per_s", "background.uniform_mag_arcsec2")
 NOISE_FACTS = (
     *("sigma_floor_e", "dark_e", "read_noise_e", "flat", "quieter_e2"),

@@ -24,7 +24,6 @@ from pipeline.spec.sweep import Detection
 from pipeline.spec.targets.mesh import MeshBody
 from pipeline.store.markers import cell_checksums
 from pipeline.store.product import Cell, cells_digest
-from pipeline.sweep.dependence import is_plain
 
 SAMPLED_PX = 4  # the background is taken from every fourth pixel of each axis
 MARGIN_PX = 24  # of sky around a target's response, for its noise
@@ -137,10 +136,9 @@ class Measurement:
 
     def _errors(self) -> tuple[float, float | None]:
         """The bound of all approximations, and what was found, in units of an empty pixel's noise
-        and of each pixel's; points that share light have their flats after it."""
+        and of each pixel's; of points that share light those of the largest flat."""
         found: float | None = summary(self.checked)["achieved_error_sigma"]
-        raised = max(1.0, self.plan.facts.flat) if is_plain(self.plan.scene) else 1.0
-        return total_sigma(self.plan.decisions) * raised, found and found * raised
+        return total_sigma(self.plan.decisions), found
 
     def content_digest(self) -> str:
         """As of a product that holds `dn` alone: equal where every pixel of all frames is."""

@@ -17,13 +17,12 @@ from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import file_digest
 from pipeline.errors import BadInput
 from pipeline.inputs.sensor.images import read_image
-from pipeline.plan.facts import light_floor_e
 from pipeline.spec.dotted import NoFieldError, set_dotted
 from pipeline.spec.load import InvalidScene, parse_scene, path_holders, place_paths
 from pipeline.spec.scene import Scene
 from pipeline.spec.sweep import Sweep
 from pipeline.store.product import CATALOGUES, named_files
-from pipeline.sweep.dependence import AFTER_LIGHT, FLOOR, SKY_FLOOR
+from pipeline.sweep.dependence import AFTER_LIGHT, FLAT, FLOOR, SKY_FLOOR
 from pipeline.sweep.design import Design
 from pipeline.sweep.stages import Base, Stages, is_plain, without_noise
 from pipeline.user_data import user_data_files
@@ -36,7 +35,7 @@ class Course:
     """A sweep ready to run: what every task needs, small enough to send to each worker.
 
     data : the base scene as plain data with absolute paths; base_folder : relative paths in the
-    axes' values are from there; floors : field -> the least of its values (numbers)
+    axes' values are from there; floors : field -> the quietest of its values (numbers)
     """
 
     sweep: Sweep
@@ -59,7 +58,16 @@ def floors_of(sweep: Sweep, folder: str) -> dict[str, float]:
         found = [n for n in numbers if n is not None]
         if len(set(found)) > 1:
             out[name] = max(found) if name.endswith("mag_arcsec2") else min(found)
-    return out
+    flats = {_flat(value, folder) for value in design.extremes(FLAT)}
+    return out | ({FLAT: max(flats)} if len(flats) > 1 else {})
+
+
+def _flat(value: object, folder: str) -> float:
+    """A flat as errors of the light grow with it; 1 of one that fails its own points alone."""
+    try:
+        return max(1.0, _number(value, FLAT, folder) or 1.0)
+    except BadInput:
+        return 1.0
 
 
 def _number(value: object, name: str, folder: str) -> float | None:
@@ -152,20 +160,20 @@ def with_floor(course: Course, kept: Stages, scene: Scene) -> tuple[Scene, Base]
     """A point's scene as it is rendered, and the base that it shares with others.
 
     Where axes vary what the noise floor comes from, all points are planned for the quietest values
-    of those axes: then the same light is drawn with the same accuracy for all of them; but for
-    those whose flats raise its errors.
+    of those axes, and the largest flat: then the same light is drawn with the same accuracy for all
+    of them.
     """
     numbers = {
         name: course.floors.get(f"sensor.{name}", _typical(kept, scene, name))
         for name in ("read_noise_e", "gain_e_per_dn", "dark_e_per_s")
     }
+    if is_plain(scene):
+        numbers["flat"] = course.floors.get(FLAT, max(1.0, _typical(kept, scene, "flat")))
     scale = course.floors.get("sensor.dark_scale", scene.sensor.dark_scale)
     numbers["dark_e_per_s"] *= scale
-    flat = _typical(kept, scene, "flat") if is_plain(scene) else 1.0  # that the base lacks
-    if (course.floors or flat > 1.0) and scene.accuracy.noise_floor_e is None:
+    if course.floors and scene.accuracy.noise_floor_e is None:
         facts = kept.base(without_noise(_quietest(course, scene), numbers)).plan.facts
-        floor = light_floor_e(facts.light_floor_e, flat)
-        accuracy = scene.accuracy.model_copy(update={"noise_floor_e": floor})
+        accuracy = scene.accuracy.model_copy(update={"noise_floor_e": facts.light_floor_e})
         scene = scene.model_copy(update={"accuracy": accuracy})
     return scene, kept.base(without_noise(scene, numbers))
 

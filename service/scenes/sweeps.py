@@ -13,6 +13,7 @@ from pipeline.plan.timing import frame_count
 from pipeline.spec.scene import Scene
 from pipeline.spec.sweep import Axis, Sweep
 from pipeline.spec.sweep_load import parse_sweep
+from pipeline.sweep.design import Design
 from service.problems import NotAllowed
 from service.scenes.axes import check_no_file
 from service.scenes.scenes import HasFile, accept_scene, product_bytes_of
@@ -71,9 +72,10 @@ def _bytes_kept(parsed: Sweep, base: Scene) -> int:
     if parsed.cubes == "none":
         return 0
     kept = len(parsed.cubes) if isinstance(parsed.cubes, tuple) else parsed.points
-    if any("sensor.adc_bits" in axis.fields for axis in parsed.axes):
-        widest = base.sensor.model_copy(update={"adc_bits": MOST_ADC_BITS})
-        base = base.model_copy(update={"sensor": widest})
+    if given := Design(parsed).extremes("sensor.adc_bits"):
+        bits = [v if isinstance(v, int) else MOST_ADC_BITS for v in given]
+        sensor = base.sensor.model_copy(update={"adc_bits": min(max(bits), MOST_ADC_BITS)})
+        base = base.model_copy(update={"sensor": sensor})
     return kept * product_bytes_of(base)
 
 

@@ -49,9 +49,8 @@ def listing(request: Request, service: Service) -> Response:
     asked = [(key.upper(), value) for key, value in request.query_params.multi_items()]
     phases = {_phase(value) for key, value in asked if key == "PHASE"}
     after = max((_time(value, "AFTER") for key, value in asked if key == "AFTER"), default=0.0)
-    last = min(
-        (_count(value, "LAST") for key, value in asked if key == "LAST"), default=MOST_LISTED
-    )
+    counts = [_count(value, "LAST") for key, value in asked if key == "LAST"]
+    last = min(MOST_LISTED, *counts) if counts else MOST_LISTED
     found = service.store.newest(last, phases, after)
     return _xml(uws_xml.jobs_xml(reversed(found), _base(request)))
 

@@ -169,3 +169,12 @@ def test_stars_near_the_centre_of_a_turn_hold_the_bound(side, roll_deg, drift_px
         exact, _ = reference(plan, g, window, stars)
         part = image[window.y0 : window.y0 + 25, window.x0 : window.x0 + 25]
         assert np.abs(part - exact).max() <= told
+
+
+@pytest.mark.parametrize("roll_deg", [20.0, 180.0, 270.0, 340.0])
+def test_zones_around_the_centre_of_a_turn_are_uneven(roll_deg):
+    """Also where all streaks end near where they began; zones of one common drift are even."""
+    turns = plan_of({"kind": "gaussian", "sigma_px": 1.0}, 0.0, 0.0, roll_deg=roll_deg, side=300)
+    assert all(path.uneven for path in streaks(turns, geometry_of(turns)))
+    drifts = plan_of({"kind": "gaussian", "sigma_px": 1.0}, 40.0, 30.0, side=300)
+    assert not any(path.uneven for path in streaks(drifts, geometry_of(drifts)))

@@ -767,7 +767,8 @@ def test_lists_within_lists_are_not_drawn_without_end():
 
 @pytest.mark.parametrize(
     "text", ["a: &a {b: *a}", "k0: &a0 1\n" + "".join(
-        f"k{i + 1}: &a{i + 1} {{p: *a{i}, q: *a{i}}}\n" for i in range(40))]
+        f"k{i + 1}: &a{i + 1} {{p: *a{i}, q: *a{i}}}\n" for i in range(40)),
+        f"a: &a [{'1, ' * 20_000}]\nb: [{'*a, ' * 20_000}]"]
 )  # fmt: skip
 def test_anchors_within_anchors_are_refused(text, tmp_path):
     path = tmp_path / "grows.yaml"
@@ -776,12 +777,12 @@ def test_anchors_within_anchors_are_refused(text, tmp_path):
         read_simsit(path, "2020-01-01T00:00:00Z")
 
 
-@pytest.mark.parametrize("inner", ["list", "choice"])
-def test_choices_that_are_nested_too_deeply_are_refused(inner, satsim):
+@pytest.mark.parametrize(("inner", "levels"), [("list", 900), ("choice", 400), ("choice", 32)])
+def test_choices_that_are_nested_too_deeply_are_refused(inner, levels, satsim):
     value: object = 0.3
-    for _ in range(400 if inner == "choice" else 900):
+    for _ in range(levels):
         value = [value] if inner == "list" else {"$sample": "random.choice", "choices": [value]}
-    with pytest.raises(BadInput, match="not nested so deeply"):
+    with pytest.raises(BadInput, match="nested 64 deep at most"):
         satsim({"fpa.dark_current": {"$sample": "random.choice", "seed": 1, "choices": [value]}})
 
 

@@ -247,6 +247,7 @@ def test_listings_are_chosen_by_phase_time_and_count(server: Any, scene: dict[st
     assert listed("PHASE=PENDING") == [0, 1, 2]
     assert listed("PHASE=COMPLETED") == []
     assert listed("LAST=2") == listed("LAST=9&LAST=2") == listed("LAST=2&LAST=9") == [1, 2]
+    assert set(listed("LAST=999999999")) == {0, 1, 2}
     assert listed(f"AFTER={between[0]}") == [1, 2]
     assert listed(f"AFTER={between[1]}&AFTER={between[0]}") == [2]
     for path in made:

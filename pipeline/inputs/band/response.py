@@ -12,6 +12,8 @@ from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.sensor import NamedBand
 
+REDDER = "0.4% of Gaia's, M giants and late dwarfs; "  # than the library's spectra that are fitted
+
 
 @dataclass(frozen=True)
 class BandLight:
@@ -40,8 +42,8 @@ def gather_band_light(scene: Scene, response: ResponseCurve, band: str, digest: 
         remarks.append(
             f"star colours: {colour.source}; fit of {colour.spectra_count} with a residual of "
             f"{colour.residual_rms_mag:.3f} mag rms; stars redder than BP-RP = "
-            f"{colour.colour_range[1]:.2f} (0.4% of Gaia's, M giants and late dwarfs; colour_flag "
-            f"2) are drawn with that colour, {_off(colour.redder_error_mag)}"
+            f"{colour.colour_range[1]:.2f} ({'' if colour.digest else REDDER}colour_flag 2) are "
+            f"drawn with that colour{_off(colour)}"
         )
     if scene.targets or scene.populations:
         wavelength, irradiance, source, error = solar_spectrum()
@@ -50,9 +52,11 @@ def gather_band_light(scene: Scene, response: ResponseCurve, band: str, digest: 
     return BandLight(colour, sun, tuple(remarks))
 
 
-def _off(mag: float) -> str:
-    """How far off stars are, where that is known."""
-    return f"up to {mag:.2f} mag off" if mag else "up to a magnitude off, as in V"
+def _off(fit: ColourFit) -> str:
+    """How far off stars redder than a fit are; of fewer spectra than there are, in V."""
+    if fit.redder_error_mag:
+        return f", up to {fit.redder_error_mag:.2f} mag off"
+    return "" if fit.digest else ", up to 1.1 mag off in V"
 
 
 def _held_by_the_band(scene: Scene) -> list[str]:

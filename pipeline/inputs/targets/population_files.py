@@ -180,7 +180,7 @@ def _messages(path: Path, kind: str, field: str) -> Iterator[JsonObject]:
 
 
 def _csv(stream: IO[str]) -> Iterable[JsonObject]:
-    return csv.DictReader(stream)
+    return csv.DictReader(line for line in stream if not re.match(REMARK, line))
 
 
 def _json(stream: IO[str], path: Path, field: str) -> Iterator[JsonObject]:

@@ -21,6 +21,7 @@ from pipeline.physics.positions.refraction import (
 )
 from pipeline.physics.positions.times import Instants
 from pipeline.plan.pointing.site import axes_of
+from pipeline.plan.timing import simpson
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.sky.atmosphere import Refraction
@@ -176,10 +177,8 @@ def star_transmission(
 
 def _mean(value: Callable[[int], Array], nodes: int, moments: int) -> Array:
     """The mean of what is known at the nodes of an exposure, by Simpson's rule over some."""
-    intervals = moments - 1
-    weights = [1.0, *(intervals // 2 - 1) * [4.0, 2.0], 4.0, 1.0]
-    total = sum(w * value(k * (nodes - 1) // intervals) for k, w in enumerate(weights))
-    return np.asarray(total / (3.0 * intervals))
+    weights, whole = simpson(moments, nodes)
+    return np.asarray(sum(w * value(k) for k, w in weights.items()) / whole)
 
 
 def path_transmission(

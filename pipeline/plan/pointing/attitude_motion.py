@@ -20,7 +20,7 @@ from pipeline.spec.scene import Scene
 FEWEST, MOST = 9, 1025  # nodes of a random path
 PER_PERIOD = 8  # nodes in a period of the fastest wave that is path
 LEFT_PX = 5e-3  # rms of an exposure's mean that blur may leave out
-TOGETHER = 1024  # frames that are looked at together
+MOST_MOMENTS = 1 << 17  # of a random path at which it is looked how far it goes
 SHARPEST_PX = 0.5  # rms of the images for which a wrong variance of blur is bounded
 
 
@@ -165,16 +165,18 @@ def random_motion_rad(scene: Scene, frames: NDArray[np.int64], nodes: int) -> Ar
 
 
 def farthest_rad(scene: Scene) -> float:
-    """How far the random path takes the boresight from where it is aimed in any frame [rad]."""
+    """How far the random path takes the boresight from where it is aimed in any frame [rad].
+
+    Of more frames than are looked at, twice as far as in those, which are spread over all.
+    """
     plan, count = motion_plan(scene), frame_count(scene)
     if plan is None:
         return 0.0
-    most = 0.0
-    for first in range(0, count, TOGETHER):  # straight between nodes: the farthest is at one
-        frames = np.arange(first, min(first + TOGETHER, count))
-        moved = random_motion_rad(scene, frames, plan.nodes)
-        most = max(most, float(np.hypot(moved[..., 0], moved[..., 1]).max()))
-    return most
+    looks = max(2, MOST_MOMENTS // plan.nodes)
+    frames = np.unique(np.linspace(0, count - 1, min(count, looks)).round().astype(np.int64))
+    moved = random_motion_rad(scene, frames, plan.nodes)  # straight between: it is at a node
+    farthest = float(np.hypot(moved[..., 0], moved[..., 1]).max())
+    return farthest if len(frames) == count else 2.0 * farthest
 
 
 def _straight_between(values: Array, nodes: int) -> Array:

@@ -419,8 +419,8 @@ def zone_streak(
     followed = np.moveaxis(offsets, -1, 0).reshape(-1, 2, 3, 3)
     whole = _rounded(offsets[:, middle], plan)
     own_e = plan.own_from_e_px * max(1.0, whole.length_px)
-    way = offsets[..., -1] - offsets[..., 0]
-    apart = float(np.hypot(*(way - way[:, [middle]])).max())
+    steps = np.diff(offsets, axis=-1)
+    apart = float(np.hypot(*(steps - steps[:, [middle]])).sum(axis=-1).max())
     uneven = whole.length_px > SLACK and SLACK * apart > (SLACK - 1.0) * whole.length_px
     return Streak(zone, whole, tuple(made), followed, own_e, uneven)
 

@@ -22,6 +22,7 @@ from pipeline.physics.sky.starlight import band_light
 from pipeline.plan.facts import Facts
 from pipeline.plan.optics.pupil import pupil_fraction
 from pipeline.plan.sky.inputs import SkyInputs, StarlightLike
+from pipeline.plan.timing import simpson
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.sky.background import Background, Galactic, Zodiacal
@@ -33,15 +34,6 @@ Array = NDArray[np.float64]
 
 ALL_G_MAG = -99.0  # brighter than any star
 MOVED = 1e-5  # radians by which a boresight turns in an exposure before its ends are looked at too
-
-
-def _simpson(moments: int, nodes: int) -> dict[int, float]:
-    """Weights of some of the nodes of an exposure: its middle, or Simpson's rule over 3, 5, 9."""
-    if moments == 1:
-        return {nodes // 2: 1.0}
-    intervals = moments - 1
-    weight = np.array([1.0, *(intervals // 2 - 1) * [4.0, 2.0], 4.0, 1.0]) / (3.0 * intervals)
-    return {k * (nodes - 1) // intervals: float(w) for k, w in enumerate(weight)}
 
 
 @dataclass(frozen=True)
@@ -71,7 +63,9 @@ class LightOfSky:
         """The mean over an exposure: its middle, or Simpson's rule over more moments."""
         turned = np.abs(g.attitude[f, 0, 2] - g.attitude[f, -1, 2]).max()
         moves = turned > MOVED or self.camera.charge_px_s != 0.0
-        nodes = _simpson(max(3, self.moments) if moves else self.moments, g.nodes)
+        moments = max(3, self.moments) if moves else self.moments
+        weights, whole = simpson(moments, g.nodes)
+        nodes = {k: w / whole for k, w in weights.items()}
         at = {k: self._charge_y(g, f, k, y) for k in nodes}
         light = np.zeros(len(x))
         if self.camera.charge_px_s:

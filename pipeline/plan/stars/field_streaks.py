@@ -39,7 +39,8 @@ def field_streak_warnings(plan: ResolvedScene, g: Geometry) -> list[str]:
     off_e = 0.5 * length_px * off * light_e
     photons_e = _of_streak(images, length_px, SAMPLES) * light_e
     photons_e *= scene.sensor.photon_noise
-    sigma = off_e / math.sqrt(plan.facts.sigma_floor_e**2 + photons_e)
+    photons_e /= max(1.0, plan.facts.flat)
+    sigma = off_e / math.sqrt(plan.facts.light_floor_e**2 + photons_e)
     if sigma <= scene.accuracy.noise_fraction:
         return []
     return [

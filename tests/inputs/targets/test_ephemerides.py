@@ -532,6 +532,17 @@ def test_limits_damaged_tables(
     assert told.value.field.startswith("targets.0.orbit")
 
 
+def test_sixty_seconds_that_a_writer_rounded_are_the_next_minute(tmp_path: Path) -> None:
+    text = "time_utc,x_m,y_m,z_m\n2019-05-12T{},7e6,0,0\n2019-05-12T12:40:00,7e6,1,1\n"
+    found = []
+    for moment in ("12:34:60.000", "12:35:00"):
+        path = tmp_path / "a.csv"
+        path.write_text(text.format(moment))
+        ((one,),) = read_ephemeris(path, "gcrs", "2019-05-12T12:00:00Z", "f").values()
+        found.append(one.utc1[0] + one.utc2[0])
+    assert found[0] == found[1]
+
+
 def test_limits_missing_large_and_binary_files(tmp_path: Path) -> None:
     for path in (tmp_path / "none.csv", tmp_path):
         with pytest.raises(BadInput, match="existing file"):

@@ -10,8 +10,11 @@ import pytest
 from pydantic import TypeAdapter
 from scipy.linalg import expm
 
+from pipeline.plan.pointing.attitude_motion import farthest_rad, motion_plan, random_motion_rad
 from pipeline.plan.pointing.motion_runs import jitter_bins, mode_of
+from pipeline.spec.load import parse_scene
 from pipeline.spec.pointing import attitude
+from tests.spec.test_limits import BASE
 
 ARCSEC = math.pi / 648_000
 HZ = [1.0, 2.0, 5.0, 11.0]
@@ -109,3 +112,21 @@ def test_variance_of_a_system() -> None:
     np.testing.assert_allclose(spread(settled, 4.0), np.diag([9.0, 0.0, 0.25 / 4.0]), atol=1e-12)
     walks = settled | {"a": [[0.0, 0.0], [0.0, 0.0]]}
     np.testing.assert_allclose(spread(walks, 4.0), np.diag([36.0, 0.0, 1.0]), atol=1e-12)
+
+
+def test_how_far_a_path_goes_is_found_in_little_time_of_any_many_frames() -> None:
+    """All frames of few; of 100,000 twice as far as in some that are spread over them."""
+    wanders = {"modes": [{"kind": "markov", "axis": "x", "time_constant_s": 50.0,
+                          "rms_arcsec": 600.0}]}  # fmt: skip
+    found = []
+    for frames in (40, 100_000):
+        data = BASE | {"exposure": {"integration_s": 1.0, "frames": frames}}
+        s = parse_scene(data | {"pointing": BASE["pointing"] | {"attitude": wanders}})
+        found.append(farthest_rad(s))
+    plan = motion_plan(s)
+    assert plan is not None
+    few = random_motion_rad(s, np.arange(0, 100_000, 101), plan.nodes)
+    seen = np.hypot(few[..., 0], few[..., 1]).max()
+    assert found[1] >= seen
+    assert 0.0 < found[0] < found[1] < 12.0 * np.radians(600.0 / 3600.0)
+    assert farthest_rad(parse_scene(BASE)) == 0.0

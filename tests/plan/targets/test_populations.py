@@ -210,8 +210,10 @@ def test_against_other_kinds_of_file(lines: list[list[str]], tle: Path, tmp_path
     for name in ("a.json", "b.csv"):
         text = (tmp_path / name).read_text(encoding="utf-8")
         (tmp_path / f"marked-{name}").write_text(text, encoding="utf-8-sig")
+    (tmp_path / "told-b.csv").write_text("# of a survey\n" + (tmp_path / "b.csv").read_text())
     wanted = kept(scene(tle))
-    for name in ("a.json", "b.csv", "c.kvn", "d.txt", "marked-a.json", "marked-b.csv"):
+    for name in ("a.json", "b.csv", "c.kvn", "d.txt", "marked-a.json", "marked-b.csv",
+                 "told-b.csv"):  # fmt: skip
         assert kept(scene(tmp_path / name)) == wanted, name
 
 

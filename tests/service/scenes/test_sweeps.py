@@ -202,10 +202,13 @@ def test_products_of_points_count_together(
             accept_sweep(wanted, Settings(tmp_path, product_bytes=kept * one - 1))
 
 
-def test_points_of_other_bits_count_as_the_widest(sweep: dict[str, Any], tmp_path: Path) -> None:
+@pytest.mark.parametrize(("bits", "each"), [([16, 63], 8), ([10, 14], 2), ([8, 20], 4)])
+def test_points_of_other_bits_count_as_the_widest(
+    sweep: dict[str, Any], tmp_path: Path, bits: list[int], each: int
+) -> None:
     """An axis of bits may take `dn` from 2 bytes a pixel to 8."""
-    sweep["axes"] = [{"kind": "list", "field": "sensor.adc_bits", "values": [16, 63]}]
-    wanted, most = sweep | {"cubes": "all"}, 2 * 2 * 64 * 64 * 8
+    sweep["axes"] = [{"kind": "list", "field": "sensor.adc_bits", "values": bits}]
+    wanted, most = sweep | {"cubes": "all"}, 2 * 2 * 64 * 64 * each
     accept_sweep(wanted, Settings(tmp_path, product_bytes=most))
     with pytest.raises(NotAllowed, match=f"asked: {most}"):
         accept_sweep(wanted, Settings(tmp_path, product_bytes=most - 1))
