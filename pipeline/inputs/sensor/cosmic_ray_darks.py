@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.inputs.npy import read_npy
-from pipeline.lazily import fits, open_fits
+from pipeline.lazily import open_fits
 from pipeline.physics.cosmic_rays.detect import (
     bad_pixels,
     find_events,
@@ -24,7 +24,7 @@ from pipeline.physics.cosmic_rays.library import Library
 
 BAND_BYTES = 256_000_000  # of the stack that is held at once
 FEWEST_FRAMES = 3
-UNREADABLE = (OSError, ValueError, EOFError, TypeError, AttributeError, LookupError)
+UNREADABLE = (OSError, ValueError, EOFError, TypeError, AttributeError)
 DIGITAL_SIGMA = 12.0**-0.5  # noise of a frame whose pixels all hold one digital number
 
 
@@ -94,7 +94,7 @@ def _rows(path: Path, start: int, stop: int) -> NDArray[np.float32]:
         if path.suffix == ".npy":
             part = read_npy(path, mapped=True)[..., start:stop, :]
         else:
-            with fits().open(path) as hdus:  # whole, as `_stored_shape` has found
+            with open_fits(path) as hdus:
                 hdu = next(h for h in hdus if h.is_image and h.shape)
                 part = hdu.section[..., start:stop, :]
         part = np.asarray(part, dtype=np.float32)
