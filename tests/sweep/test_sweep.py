@@ -36,9 +36,11 @@ from pipeline.spec.sweep import Detection
 from pipeline.spec.sweep_load import parse_sweep
 from pipeline.sweep import ledger, run, task
 from pipeline.sweep.check import check
+from pipeline.sweep.design import Design
 from pipeline.sweep.metrics import Measurement, target_windows
-from pipeline.sweep.points import scene_of
+from pipeline.sweep.points import scene_of, with_floor
 from pipeline.sweep.run import gather_course, point_scene, sweep
+from pipeline.sweep.stages import Stages
 from pipeline.sweep.summary import _messages, _spread, summarise
 from tests.command import nightglass
 from tests.service.conftest import SCENE as SMALL
@@ -762,17 +764,22 @@ def test_the_darkest_sky_sets_the_floor_of_all_points_with_one(sweep_file):
 
 
 def test_a_flat_above_one_lowers_the_floor_of_the_light(sweep_file, tmp_path):
-    """Errors of the light come through it as the light does."""
+    """Errors of the light come through it as the light does; one that is not there is its own
+    points' alone."""
     noise = {"stars": None, "background": None, "sensor.dark_e_per_s": 0.0}
     alone = math.hypot(5.0, 2.0 / math.sqrt(12.0))
     path = sweep_file([{"field": "sensor.flat", "values": [0.5, 4.0, 2.0]}], noise)
     floors = [point_scene(path, k).accuracy.noise_floor_e for k in range(3)]
-    assert floors[1:] == pytest.approx([alone / 4.0, alone / 2.0], rel=1e-9)
-    assert floors[0] is None
+    assert floors == pytest.approx([alone / 4.0] * 3, rel=1e-9)  # the largest is that of all
     np.save(tmp_path / "flat.npy", np.full((256, 256), 3.0))
     flat = noise | {"sensor.flat": str(tmp_path / "flat.npy")}
     path = sweep_file([{"field": "sensor.bias_dn", "values": [100, 200]}], flat)
-    assert point_scene(path, 1).accuracy.noise_floor_e == pytest.approx(alone / 3.0, rel=1e-9)
+    course, kept = gather_course(path, Path()), Stages(1e9)
+    scene, base = with_floor(course, kept, scene_of(course, Design(course.sweep), 1))
+    assert scene.accuracy.noise_floor_e is None
+    assert base.plan.facts.light_floor_e == pytest.approx(alone / 3.0, rel=1e-9)
+    axis = {"field": "sensor.flat", "values": [1.0, str(tmp_path / "none.npy")]}
+    assert point_scene(sweep_file([axis], noise), 0).accuracy.noise_floor_e is None
 
 
 def test_a_floor_that_the_scene_states_stays(sweep_file):
