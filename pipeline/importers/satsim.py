@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf, erfinv
 
-from catalog_tools.documents import JsonObject
+from catalog_tools.documents import JsonObject, is_deeper
 from pipeline.errors import BadInput
 from pipeline.importers.imported import Fields, Imported, Notes, read_bytes, scene_name
 from pipeline.importers.placing import Wanted, astray, electrons_of_sunlight, far_observer, place
@@ -42,7 +42,7 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
         raw = json.loads(read_bytes(path))
     except (ValueError, RecursionError) as error:
         raise BadInput("FILE", str(path), f"JSON ({error})") from None
-    if not _is_shallow(raw):
+    if is_deeper(raw, DEEPEST):
         raise BadInput("FILE", str(path), f"values that are nested {DEEPEST} deep at most")
     notes = Notes()
     chance = Chance(np.random.default_rng(seed))
@@ -87,15 +87,6 @@ def read_satsim(path: Path, epoch: str, catalogue: str | None = None, seed: int 
             f"lines: up to {off_px:.2g} px off between the first exposure and the last"
         )
     return Imported(f"SatSim {path.name}", data, images, notes)
-
-
-def _is_shallow(value: object) -> bool:
-    """Whether lists and mappings are nested DEEPEST levels at most."""
-    level = [value]
-    for _ in range(DEEPEST + 1):
-        inner = [v for v in level if isinstance(v, dict | list)]
-        level = [w for v in inner for w in (v.values() if isinstance(v, dict) else v)]
-    return not level
 
 
 def _sensor(f: Fields, notes: Notes, images: Images, name: str) -> JsonObject:

@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 from scipy.interpolate import CubicSpline
 
-from catalog_tools.documents import JsonObject
+from catalog_tools.documents import JsonObject, levels
 from pipeline.errors import BadInput
 from pipeline.importers.imported import Fields, Imported, Notes, read_bytes, scene_name
 from pipeline.importers.passes import Pass, zenith_pass
@@ -102,13 +102,11 @@ def _yaml(path: Path) -> object:
 
 def _check_extent(data: object) -> None:
     """ValueError for more values than a file writes out: anchors within anchors."""
-    level, values = [data], 0
-    while level:
-        inner = [v for v in level if isinstance(v, dict | list)]
-        values += sum(map(len, inner))
+    values = 0
+    for level in levels(data):
+        values += sum(map(len, level))
         if values > MOST_VALUES:
             raise ValueError(f"more than {MOST_VALUES} values, with what its anchors stand for")
-        level = [w for v in inner for w in (v.values() if isinstance(v, dict) else v)]
 
 
 def _within(f: Fields, key: str, rng: np.random.Generator, low: float, high: float) -> float:

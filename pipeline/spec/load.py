@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
-from catalog_tools.documents import JsonObject, JsonValue
+from catalog_tools.documents import JsonObject, JsonValue, is_deeper
 from pipeline.errors import BadInput, shorten
 from pipeline.spec.dotted import NoFieldError, add_dotted, set_dotted
 from pipeline.spec.scene import Scene
@@ -115,19 +115,7 @@ def _parse_json(text: str) -> JsonValue:
         value = json.loads(text, object_pairs_hook=pairs)
     except (ValueError, RecursionError):
         return None
-    return value if _depth(value) <= MAX_DEPTH else None
-
-
-def _depth(value: object) -> int:
-    """How deep lists and mappings are nested; stops one beyond MAX_DEPTH."""
-    level, depth = [value], 0
-    while depth <= MAX_DEPTH:
-        inner = [v for v in level if isinstance(v, dict | list)]
-        if not inner:
-            break
-        level = [w for v in inner for w in (v.values() if isinstance(v, dict) else v)]
-        depth += 1
-    return depth
+    return None if is_deeper(value, MAX_DEPTH) else value
 
 
 def parse_scene(data: object, base: Path | None = None) -> Scene:

@@ -133,9 +133,9 @@ def _to_utc(calendar: Array, scale: str, path: Path, field: str) -> tuple[Array,
     dtf2d = era.dtf2d(
         b"UTC" if scale == "UTC" else b"TAI", year, month, day, hour, minute, calendar[:, 5]
     )
-    late = (np.asarray(dtf2d[2]) > 1) & ~((calendar[:, 5] == 60.0) & (60 * hour + minute < 1439))
-    bad = (np.asarray(dtf2d[2]) < 0) | late  # 60 s are the next minute, but for the day's last one
-    if bad.any() or (year < 1900).any() or (year > 2100).any():
+    status = np.asarray(dtf2d[2])  # 60 s are the next minute, but for the day's last one
+    late = (status > 1) & ~((calendar[:, 5] == 60.0) & (60 * hour + minute < 1439))
+    if (status < 0).any() or late.any() or (year < 1900).any() or (year > 2100).any():
         raise BadInput(field, path.name, "dates that exist, years 1900 to 2100")
     if scale == "UTC":
         return np.asarray(dtf2d[0]), np.asarray(dtf2d[1])
