@@ -16,7 +16,7 @@ from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import file_digest
 from pipeline.errors import NOT_NOW, BadInput, Damaged, Incomplete, check_new
 from pipeline.store import layout
-from pipeline.store.product import check, content_digest
+from pipeline.store.product import check, content_digest, is_begun
 from service.answers import problem_of
 
 PART = ".part"
@@ -79,12 +79,27 @@ def fetch_sweep(job: Fetched, folder: Path, parallel: int = 8) -> Path:
     files = [(path, size) for path, size in _listing(job) if path != layout.COMPLETE]
     with ThreadPoolExecutor(parallel) as pool:
         list(pool.map(lambda file: _fetch(job, stage, file[0], file[1], lambda _: None), files))
+    for sealed in sorted((stage / layout.CUBES).glob(f"*/{layout.COMPLETE}")):
+        _prove_cube(job, sealed.parent)
     for name, digest in json.loads(seal)["files"].items():
         if not (stage / name).is_file() or file_digest(stage / name) != digest:
             raise Damaged(name, "not what was made; fetch it again")
     layout.write_atomically(stage / layout.COMPLETE, seal)
     stage.replace(folder)  # over an empty folder too
     return folder
+
+
+def _prove_cube(job: Fetched, cube: Path) -> None:
+    """Bring the record of a kept point's product, and check all of it."""
+    record = job.client.ask("GET", f"{job.path}/record?point={int(cube.name)}").content
+    layout.write_atomically(cube / layout.BEGUN, record)
+    if not is_begun(cube):  # an older server gives that of the sweep
+        (cube / layout.BEGUN).unlink()
+        return
+    verdict = check(cube)
+    if not verdict.whole or verdict.faults:
+        fault = next(iter(verdict.faults), "not whole")
+        raise Damaged(f"{layout.CUBES}/{cube.name}", f"{fault}; fetch it again")
 
 
 def _take_folder(folder: Path, record: bytes) -> None:

@@ -57,7 +57,8 @@ class RowSource(Protocol):
         """What tells whether it is still the same source (JSON values)."""
 
     def tables(self, record: JsonObject) -> Iterator[pa.Table]:
-        """Its rows in order, in tables of schema INCOMING; fills in `bytes` and `md5`, if any."""
+        """Its rows in order, in tables of schema INCOMING; fills in `bytes`, `md5` and `doubts`,
+        where it has any."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,13 @@ def _read(batch: Batch, root: Path, name: str, piece_rows: int) -> JsonObject:
     reasons: Counter[str] = Counter()
     rejects = pa.ipc.new_file(str(folder / REJECTS_NAME), REJECTS)
     for source in batch.sources:
-        record: JsonObject = {"name": source.label, "bytes": None, "md5": None, "rows": 0}
+        record: JsonObject = {
+            "name": source.label,
+            "bytes": None,
+            "md5": None,
+            "rows": 0,
+            "doubts": [],
+        }
         places, beyond, looks = _Places(source), Counter[str](), Coordinates()
         for table in source.tables(record):
             kept, columns, bad = judge(table, source.label, record["rows"], places.compared)
@@ -132,7 +139,8 @@ def _read(batch: Batch, root: Path, name: str, piece_rows: int) -> JsonObject:
             record["rows"] += table.num_rows
         places.check()
         record["unlike_gaia"] = places.unlike_gaia
-        record["beyond"], record["doubts"] = dict(beyond), list(looks.doubts())
+        record["beyond"] = dict(beyond)
+        record["doubts"] += looks.doubts()
         records.append(record)
     held.write()
     pixels, counts = held.counts()

@@ -51,7 +51,10 @@ class FileSource:
     def tables(self, record: JsonObject) -> Iterator[pa.Table]:
         """Its rows; at the end its length and MD5 are compared with what was expected."""
         md5 = hashlib.md5(usedforsecurity=False)
-        yield from read_tables(Path(self.path), self.form, md5=md5, most_bytes=self.most_bytes)
+        doubts = record.setdefault("doubts", [])
+        yield from read_tables(
+            Path(self.path), self.form, md5=md5, most_bytes=self.most_bytes, doubts=doubts
+        )
         state = Path(self.path).stat()
         if (state.st_size, state.st_mtime_ns) != (self.size, self.mtime_ns):
             raise Damaged(self.path, "it was changed while it was read")

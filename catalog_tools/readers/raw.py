@@ -23,10 +23,12 @@ def raw_tables(
     where: str,
     md5: object = None,
     most_bytes: int | None = None,
+    doubts: list[str] | None = None,
 ) -> Iterator[pa.Table]:
     """Tables of the columns that `choose` picks from the file's own, with the file's own values.
 
-    most_bytes : of memory; a file that can't be read in so much is refused.
+    most_bytes : of memory; a file that can't be read in so much is refused. doubts : gets what the
+    file says of rows that it lacks.
     """
     zipped = kind.endswith(".gz")
     plain_kind = kind.removesuffix(".gz")
@@ -39,7 +41,9 @@ def raw_tables(
     elif plain_kind == "votable":
         from .votable import read_votable
 
-        yield from read_votable(path, where, choose, zipped=zipped, md5=md5, most_bytes=most_bytes)
+        yield from read_votable(
+            path, where, choose, zipped=zipped, md5=md5, most_bytes=most_bytes, doubts=doubts
+        )
     else:
         if plain_kind == "parquet":
             yield from read_parquet(path, where, choose, most_bytes)

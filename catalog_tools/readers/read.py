@@ -24,12 +24,14 @@ def read_tables(
     md5: object = None,
     field: str = "source",
     most_bytes: int | None = None,
+    doubts: list[str] | None = None,
 ) -> Iterator[pa.Table]:
     """The rows of a file in order, as tables of bounded size with the schema INCOMING.
 
     form : what its columns mean; by default Gaia DR2 or DR3, told from the file. md5 : a hashlib
     object: when the iterator is exhausted it has been fed every byte of the file as it lies on
     disk. field : what the path is called in messages. most_bytes : of memory.
+    doubts : gets what the file says of rows that it lacks.
     Raises BadInput naming file, column and row, also where the file declares another unit for a
     column than the form reads it in, and Damaged where the file ends too early or can't
     be decoded.
@@ -37,11 +39,17 @@ def read_tables(
     path = Path(path)
     kind = kind_of(path, field)
     meaning = form if form is not None else detect_form(path, field, most_bytes)
-    return _tables(path, kind, meaning, md5, f"{field} {path}", most_bytes)
+    return _tables(path, kind, meaning, md5, f"{field} {path}", most_bytes, doubts)
 
 
 def _tables(
-    path: Path, kind: str, form: Form, md5: object, where: str, most_bytes: int | None
+    path: Path,
+    kind: str,
+    form: Form,
+    md5: object,
+    where: str,
+    most_bytes: int | None,
+    doubts: list[str] | None,
 ) -> Iterator[pa.Table]:
     rows = 0
     try:
@@ -51,7 +59,7 @@ def _tables(
             refuse_other_units(form, Names(names), declared, where)
             return chosen
 
-        raw = raw_tables(path, kind, form.layout, choose, where, md5, most_bytes)
+        raw = raw_tables(path, kind, form.layout, choose, where, md5, most_bytes, doubts)
         for table in raw:
             yield apply(form, table, where, rows)
             rows += table.num_rows

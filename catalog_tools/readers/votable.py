@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from astropy.io.votable import parse_single_table
+from astropy.io.votable import parse
+from astropy.io.votable.tree import VOTableFile
 from numpy.typing import ArrayLike
 
 from ..errors import BadInput, Damaged
@@ -19,6 +20,10 @@ from .kinds import Choose
 MOST_BYTES = 256 << 20
 TEXT_SHARE, BINARY_SHARE = 4, 11  # bytes in memory for each of the file, unpacked (measured)
 ROWS = 100_000
+CUT_OFF = (
+    "the service that wrote it cut it off at its limit of rows (QUERY_STATUS is OVERFLOW):"
+    " stars are missing (ask again with a higher MAXREC)"
+)
 
 
 def read_votable(
@@ -29,9 +34,11 @@ def read_votable(
     zipped: bool,
     md5: object = None,
     most_bytes: int | None = None,
+    doubts: list[str] | None = None,
 ) -> Iterator[pa.Table]:
     """Tables of the chosen columns of the file's first table, in pieces of ROWS rows.
 
+    doubts : gets what the file says of rows that it lacks.
     Raises BadInput where the file is larger than MOST_BYTES or would take more than `most_bytes` of
     memory, and Damaged where it can't be parsed.
     """
@@ -39,10 +46,13 @@ def read_votable(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the archive's units are not all VOUnits
-            table = parse_single_table(text)
+            whole = parse(text)
+            table = whole.get_first_table()
             data = table.array
     except Exception as error:  # the XML parser has many ways to fail
         raise Damaged(str(path), f"cannot be read as VOTable ({str(error)[:200]})") from None
+    if doubts is not None and _is_cut_off(whole):
+        doubts.append(CUT_OFF)
     fields = {(field.name or field.ID): field.ID for field in reversed(table.fields)}
     declared = {f.name or f.ID: str(f.unit) for f in reversed(table.fields) if f.unit is not None}
     chosen = choose(list(fields), declared)
@@ -51,6 +61,14 @@ def read_votable(
         yield pa.table(
             {name: _values(rows[fields[name]], name, chosen[name], where) for name in chosen}
         )
+
+
+def _is_cut_off(whole: VOTableFile) -> bool:
+    """Whether the service that wrote the file left out rows (IVOA DALI 1.1, 4.4.1)."""
+    infos = [*whole.infos, *(info for resource in whole.resources for info in resource.infos)]
+    return any(
+        info.name.upper() == "QUERY_STATUS" and info.value.upper() == "OVERFLOW" for info in infos
+    )
 
 
 def _whole(

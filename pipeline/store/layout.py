@@ -36,6 +36,7 @@ PREVIEW = "preview.png"
 BEGUN = ".begun.json"
 COMPLETE = "_COMPLETE"
 LOCK = ".lock"
+CUBES = "cubes"  # of a sweep: the products of its points
 SEALS = (COMPLETE, f"{CUBE}/zarr.json")  # which say that all is there
 AGAIN_S = 1.0  # between looks at a lock
 Taken = TypeVar("Taken")
@@ -50,6 +51,11 @@ LONG_NAMES = {  # layers of the cube: what they are, and their unit
     "lag_e": ("left by frames before, less what stays behind", "electron"),
     "cosmic_rays_e": ("charge of cosmic rays, drawn; not in mean_e", "electron"),
 }
+
+
+def cube_path(out: Path, point: int) -> Path:
+    """Where a sweep keeps the product of a point."""
+    return out / CUBES / f"{point:07d}"
 
 
 def no_product(path: Path) -> BadInput:

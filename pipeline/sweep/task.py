@@ -20,13 +20,13 @@ from pipeline.route.prepare import check_room, prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.scene import Scene
 from pipeline.store.cube import CubeWriter
+from pipeline.store.layout import cube_path
 from pipeline.store.product import begin
 from pipeline.sweep.design import Design
 from pipeline.sweep.metrics import Measurement, TargetWindow, target_windows
 from pipeline.sweep.points import Course, scene_of, with_floor
 from pipeline.sweep.stages import Base, Stages, maps_of, point_plan, stages
 
-CUBES = "cubes"
 Row = JsonObject
 
 
@@ -110,11 +110,6 @@ def _begin_cube(course: Course, scene: Scene, number: int) -> CubeWriter:
     digest = "+".join(c.digest for c in prepared.catalogues) or None
     path.parent.mkdir(parents=True, exist_ok=True)
     return begin(path, prepared.plan, digest, resume=path.exists()).writer
-
-
-def cube_path(out: Path, number: int) -> Path:
-    """Where the product of a point is kept."""
-    return out / CUBES / f"{number:07d}"
 
 
 def _draw(course: Course, kept: Stages, group: list[_Point]) -> None:

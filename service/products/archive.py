@@ -6,7 +6,7 @@ import tarfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from pipeline.store.layout import BEGUN
+from pipeline.store.layout import BEGUN, COMPLETE
 from service.products.files import PIECE_BYTES, list_files, open_inside
 
 BLOCK = tarfile.BLOCKSIZE
@@ -16,12 +16,19 @@ def archive(folder: Path, name: str) -> tuple[int, Iterator[bytes]]:
     """Length in bytes and pieces of a tar of all files of a product, below the folder `name`."""
     files = list_files(folder)
     heads = [_head(f"{name}/{path}", size) for path, size in files]
-    record = (folder / BEGUN).read_bytes()  # hidden, and needed by `nightglass check`
-    first = _head(f"{name}/{BEGUN}", len(record)) + record + bytes(-len(record) % BLOCK)
+    cubes = [path.removesuffix(COMPLETE) for path, _ in files if path.endswith(f"/{COMPLETE}")]
+    first = b"".join(_record(folder, name, inside) for inside in ("", *cubes))
     length = len(first) + sum(
         len(h) + -(-size // BLOCK) * BLOCK for h, (_, size) in zip(heads, files, strict=True)
     )
     return length + 2 * BLOCK, _pieces(folder, first, files, heads)
+
+
+def _record(folder: Path, name: str, inside: str) -> bytes:
+    """The record of a product, or of a point's that a sweep keeps: hidden, and needed by
+    `nightglass check`. inside : its folder below the first, ended by a slash."""
+    record = (folder / inside / BEGUN).read_bytes()
+    return _head(f"{name}/{inside}{BEGUN}", len(record)) + record + bytes(-len(record) % BLOCK)
 
 
 def _head(path: str, size: int) -> bytes:

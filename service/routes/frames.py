@@ -14,6 +14,7 @@ from fastapi.responses import JSONResponse, Response, StreamingResponse
 
 from pipeline.store import layout
 from service.context import Context, Service
+from service.problems import NotThere
 from service.products import frames
 from service.products.archive import archive
 from service.routes.results import _product as complete_product
@@ -136,10 +137,17 @@ def fits(
 
 
 @router.get("/record")
-def record(service: Service, job_id: str) -> Response:
+def record(
+    service: Service,
+    job_id: str,
+    point: Annotated[int | None, Query(ge=0, description="of a sweep: whose kept cube")] = None,
+) -> Response:
     """What the product was begun as; `.begun.json` of a fetched one, for `nightglass check`."""
-    content = (complete_product(service, job_id) / layout.BEGUN).read_bytes()
-    return Response(content, media_type="application/json")
+    product = complete_product(service, job_id)
+    path = (product if point is None else layout.cube_path(product, point)) / layout.BEGUN
+    if not path.is_file():
+        raise NotThere(f"there is no cube of point {point}")
+    return Response(path.read_bytes(), media_type="application/json")
 
 
 @router.get("/product.tar")

@@ -21,6 +21,7 @@ from star_rows import random_stars, write_csv
 
 from catalog_tools.columns import INCOMING, NAMES
 from catalog_tools.forms import IdRule, Layout, load_form
+from catalog_tools.ingest.ingest import ingest
 from catalog_tools.readers import detect_form, kind_of, read_tables, text
 from catalog_tools.readers.fields import FieldTaker
 
@@ -477,3 +478,21 @@ def test_whole_numbers_of_sqlite_in_columns_of_numbers(tmp_path):
         base.execute("insert into stars values (1, 2, 3, 9, ?)", [2**60 + 1])
     base.close()
     assert read(tmp_path / "a.sqlite", IN_SQL)["parallax"].to_pylist() == [float(2**60)]
+
+
+def test_a_votable_that_the_service_cut_off_is_told(tmp_path):
+    """As a TAP service ends an answer that reached its limit of rows (DALI 1.1, section 4.4.1)."""
+    stars, told = random_stars(5), {}
+    write_votable(tmp_path / "whole.vot", stars)
+    text = (tmp_path / "whole.vot").read_text()
+    for status in ("OVERFLOW", "OK"):
+        info = f'<INFO name="QUERY_STATUS" value="{status}"/></RESOURCE>'
+        (tmp_path / f"{status}.vot").write_text(text.replace("</RESOURCE>", info))
+    for name in ("whole", "OK", "OVERFLOW"):
+        made = ingest([tmp_path / f"{name}.vot"], tmp_path / name, form="gaia_dr2")
+        told[name] = [note for note in made.notes if "cut it off" in note]
+        assert made.rows_in == 5
+    assert told["whole"] == told["OK"] == []
+    (said,) = told["OVERFLOW"]
+    assert said.startswith("OVERFLOW.vot: the service")
+    assert "stars are missing" in said

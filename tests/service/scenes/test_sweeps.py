@@ -5,14 +5,17 @@ from __future__ import annotations
 import copy
 import io
 import json
+import tarfile
 from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, Damaged
 from pipeline.plan.cost import least_noise_s
+from pipeline.spec.load import load_scene
+from pipeline.store.product import check
 from pipeline.sweep.ledger import is_complete
 from service.client import Client
 from service.problems import NotAllowed
@@ -75,6 +78,34 @@ def test_by_the_client(
         (tmp_path / "base.json").unlink()
         with pytest.raises(BadInput, match=r"base\.json"):
             client.sweep(tmp_path / "sweep.json")
+
+
+def test_the_cubes_that_a_sweep_keeps_are_fetched_with_their_records(
+    server: Any, sweep: dict[str, Any], tmp_path: Path
+) -> None:
+    """Each is a product that `check` finds whole; one that was damaged on its way is refused."""
+    with Client(server.url) as client:
+        made = client.sweep(sweep | {"cubes": [1, 2]}).wait(progress=False)
+        made.fetch_sweep(tmp_path / "out")
+        cubes = sorted((tmp_path / "out" / "cubes").iterdir())
+        assert [cube.name for cube in cubes] == ["0000001", "0000002"]
+        for cube in cubes:
+            assert (check(cube).whole, list(check(cube).faults)) == (True, [])
+            scene = load_scene(cube / "scene.yaml")
+            assert scene.sensor.read_noise_e == 2.0 ** int(cube.name)
+        for point, status in ((2, 200), (3, 404), (-1, 422)):
+            answer = server.client.get(f"/v1/jobs/{made.id}/record", params={"point": point})
+            assert answer.status_code == status
+        answer = server.client.get(f"/v1/jobs/{made.id}/product.tar")
+        with tarfile.open(fileobj=io.BytesIO(answer.content)) as tar:
+            tar.extractall(tmp_path / "tar", filter="data")
+        assert [check(p).whole for p in sorted(tmp_path.glob("tar/*/cubes/*"))] == [True, True]
+        chunks = server.home.rglob(f"{made.id}/cubes/0000001/cube.zarr/dn/c/*/*/*")
+        chunk = next(path for path in chunks if path.is_file())
+        chunk.write_bytes(bytes(chunk.stat().st_size))
+        with pytest.raises(Damaged, match=r"cubes/0000001: .*; fetch it again"):
+            made.fetch_sweep(tmp_path / "again")
+        assert not (tmp_path / "again").exists()
 
 
 def test_by_the_command_line(
