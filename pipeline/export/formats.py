@@ -122,6 +122,7 @@ class _Job:
 
 
 def _movie(job: _Job, output: Path) -> Iterator[Path]:
+    output.parent.mkdir(parents=True, exist_ok=True)
     pictures = movie_frames(job.product, job.frames, job.request.layer, MOVIE_PX)
     if output.suffix == ".gif":
         write_atomically(output, gif_bytes(pictures, len(job.frames), job.request.fps))

@@ -144,16 +144,17 @@ def _unpacked(text):
 
 
 def test_movies(labelled, tmp_path):
-    (gif,) = export_product(labelled, "gif", tmp_path / "a.gif", ExportRequest(fps=4.0))
+    new = tmp_path / "in" / "new"  # folders that are not there yet are made
+    (gif,) = export_product(labelled, "gif", new / "a.gif", ExportRequest(fps=4.0))
     picture = Image.open(gif)
     assert (picture.n_frames, picture.size, picture.info["duration"]) == (2, (512, 512), 250)
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    (mp4,) = export_product(labelled, "mp4", tmp_path / "a.mp4", ExportRequest(fps=4.0))
+    (mp4,) = export_product(labelled, "mp4", new / "a.mp4", ExportRequest(fps=4.0))
     reader = ffmpeg.read_frames(str(mp4))
     about = next(reader)
     assert (about["size"], about["fps"]) == ((512, 512), 4.0)
     assert len(list(reader)) == 2
-    assert [p.name for p in tmp_path.iterdir()] in (["a.gif", "a.mp4"], ["a.mp4", "a.gif"])
+    assert sorted(p.name for p in new.iterdir()) == ["a.gif", "a.mp4"]
 
 
 @pytest.mark.parametrize(("fps", "lasts_ms"), [(100.0, 20), (60.0, 20), (30.0, 30), (0.5, 2000)])
@@ -196,15 +197,15 @@ def test_a_film_has_all_its_frames_at_any_speed(tmp_path, fps):
 
 
 def test_a_film_leaves_others_alone(labelled, tmp_path):
-    """What lies beside it stays; where its folder is none, that is told as of any other file."""
+    """What lies beside it stays; what is in its folder's place is no folder."""
     pytest.importorskip("imageio_ffmpeg")
     kept = tmp_path / "film.part.mp4"
     kept.write_text("keep me")
     list(export_product(labelled, "mp4", tmp_path / "film.mp4", ExportRequest()))
     assert kept.read_text() == "keep me"
     assert {path.name for path in tmp_path.iterdir()} == {"film.mp4", "film.part.mp4"}
-    with pytest.raises(FileNotFoundError):
-        list(export_product(labelled, "mp4", tmp_path / "none" / "film.mp4", ExportRequest()))
+    with pytest.raises(BadInput, match=r"film\.part\.mp4 is a file"):
+        list(export_product(labelled, "mp4", kept / "film.mp4", ExportRequest()))
 
 
 @pytest.mark.parametrize("ends", ["exit 1;", "head -c 300000 |"])
