@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from pipeline.physics.constants import BOLTZMANN_J_K, PLANCK_J_S, SPEED_OF_LIGHT_M_S
 from pipeline.physics.fast_sizes import fast_size
 from pipeline.physics.psf.aperture import Pupil
 from pipeline.physics.psf.pupil import Airy, Blur, Optics, Transfer
@@ -25,6 +26,7 @@ REFERENCE = 32  # wavelengths that stand for all of them; for more, twice as man
 PANEL = 8  # of many wavelengths: nodes of Gauss and Legendre in each of as many even panels
 WIDTHS, MOST_WIDTHS = 10.0, 80.0  # of the response: the field over which two are compared
 SAMPLES = 1024  # across, of responses that are compared
+COLOURS_K = (3000.0, 12000.0)  # of M5 and B8 stars: redder and bluer ones are few
 BAND_CELLS = 500  # that a response curve is cut into, besides its own points
 
 
@@ -127,6 +129,8 @@ class BandOptics:
     error : largest difference of any pixel of a star to that of REFERENCE wavelengths, over its
         light; error_of_one : the same for the mean wavelength alone
     error_sigma : largest error beside the brightest source of a NoiseLimit, over the noise there
+    error_of_colours : of stars as black bodies of the temperatures COLOURS_K, which are drawn as one
+        whose photons are spread evenly over the band: over their light, as `error`
     """
 
     optics: Optics
@@ -135,6 +139,7 @@ class BandOptics:
     error: float
     error_of_one: float
     error_sigma: float = 0.0
+    error_of_colours: tuple[float, ...] = (0.0, 0.0)
 
 
 def band_wavelengths(wavelength_m: Array, value: Array, count: int) -> tuple[Array, Array]:
@@ -144,8 +149,7 @@ def band_wavelengths(wavelength_m: Array, value: Array, count: int) -> tuple[Arr
     the wavelength up to degree 2 count - 1 (Golub and Welsch 1969, by Stieltjes' recurrence on
     the response cut into BAND_CELLS). One wavelength is the mean.
     """
-    even = np.linspace(wavelength_m[0], wavelength_m[-1], BAND_CELLS + 1)
-    edges = np.union1d(even, wavelength_m)
+    edges = _cells(wavelength_m)
     step, three = np.polynomial.legendre.leggauss(3)
     widths = 0.5 * np.diff(edges)[:, None]
     at = (0.5 * (edges[1:] + edges[:-1])[:, None] + widths * step).ravel()
@@ -171,6 +175,13 @@ def band_wavelengths(wavelength_m: Array, value: Array, count: int) -> tuple[Arr
     nodes, vectors = np.linalg.eigh(np.diag(a) + np.diag(off, 1) + np.diag(off, -1))
     weights = vectors[0] ** 2
     return middle + half * nodes, weights / weights.sum()
+
+
+def _cells(wavelength_m: Array) -> Array:
+    """The edges of so small parts of a curve that it, and what goes with it, is straight in each."""
+    even = np.linspace(wavelength_m[0], wavelength_m[-1], BAND_CELLS + 1)
+    edges: Array = np.union1d(even, wavelength_m)
+    return edges
 
 
 def _in_panels(wavelength_m: Array, value: Array, count: int) -> tuple[Array, Array]:
@@ -223,6 +234,13 @@ def choose_wavelengths(
         beside = 0.0 if limit is None else limit.error_sigma(difference, light)
         return float(np.abs(difference).max()), beside
 
+    def of_colour(kelvin: float) -> float:
+        """How far the response of a black body is from the whole band's, over the light."""
+        at = _cells(wavelength_m)
+        photons = np.interp(at, wavelength_m, value) * black_body_photons(at, kelvin)
+        parts = _mixed(make, at, photons, REFERENCE, True)[0]
+        return float(np.abs(field(REFERENCE).difference(replace(blur, optics=parts))).max())
+
     def enough(n: int) -> bool:
         of_light, of_noise = errors(n)
         return of_light <= tolerance and (limit is None or of_noise <= limit.sigma)
@@ -238,7 +256,15 @@ def choose_wavelengths(
         error,
         errors(1)[0],
         error_sigma,
+        tuple(of_colour(kelvin) for kelvin in COLOURS_K),
     )
+
+
+def black_body_photons(wavelength_m: Array, kelvin: float) -> Array:
+    """Photons of a black body by wavelength, not scaled (Planck's law over the photon's energy)."""
+    x = PLANCK_J_S * SPEED_OF_LIGHT_M_S / (BOLTZMANN_J_K * kelvin * wavelength_m)
+    photons: Array = np.exp(x.min() - x) / wavelength_m**4 / -np.expm1(-x)
+    return photons / photons.max()
 
 
 def _mixed(

@@ -158,12 +158,15 @@ def _band(
         return {f.name: getattr(chosen, f.name) for f in fields(chosen)[1:]}
 
     of = make(float(curve[0][0])), reddest
-    found = kept(("wavelengths", of, rest, curve, most, psf.wavelengths, limit), choose)
+    found = kept(("wavelengths of a band", of, rest, curve, most, psf.wavelengths, limit), choose)
     waves, weights = tuple(found["wavelengths_m"].tolist()), tuple(found["weights"].tolist())
     if len(waves) == 1:  # the mean, to the last bit
         waves, weights = (mean_m,), (1.0,)
     errors = (float(found[k]) for k in ("error", "error_of_one", "error_sigma"))
-    return BandOptics(mixture(tuple(map(make, waves)), weights), waves, weights, *errors)
+    of_colours = tuple(found["error_of_colours"].tolist())
+    return BandOptics(
+        mixture(tuple(map(make, waves)), weights), waves, weights, *errors, of_colours
+    )
 
 
 def _chromatic(

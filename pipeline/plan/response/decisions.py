@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pipeline.physics.psf.band import BandOptics
+from pipeline.physics.psf.band import COLOURS_K, BandOptics
 from pipeline.physics.psf.product import PHASES
 from pipeline.plan.accuracy import by_wavelength
 from pipeline.plan.decision import Decision
@@ -66,8 +66,10 @@ def _wavelengths(basis: PlanBasis, band: BandOptics) -> Decision:
         return Decision(name, True, f"drawn at {nm} nm: as asked")
     reason = (
         f"drawn at {nm} nm: a pixel differs by up to {band.error:.2g} of its source's light from "
-        f"the whole band ({band.error_of_one:.2g} with the mean wavelength alone); the same for "
-        f"sources of all colours. The bound is beside a source of {brightest_e:.3g} e-"
+        f"the whole band ({band.error_of_one:.2g} with the mean wavelength alone), whose photons are "
+        f"spread evenly for sources of all colours: a pixel of a star is off by up to "
+        f"{_of_colours(band)}, which no bound counts. The bound is beside a source of "
+        f"{brightest_e:.3g} e-"
     )
     floor_e = facts.light_floor_e
     sigma = band.error * brightest_e / floor_e
@@ -77,6 +79,12 @@ def _wavelengths(basis: PlanBasis, band: BandOptics) -> Decision:
         expected = band.error_sigma * planned_floor_e(scene, floor_e) / floor_e
         sigma = min(sigma, expected * (math.sqrt(ratio) if hidden else ratio))
     return Decision(name, True, reason, band.error * brightest_e, sigma)
+
+
+def _of_colours(band: BandOptics) -> str:
+    """By how much the pixels of cool and hot stars are off, of their light."""
+    each = zip(COLOURS_K, band.error_of_colours, strict=True)
+    return " and ".join(f"{off:.2g} ({kelvin:.0f} K)" for kelvin, off in each)
 
 
 def _stars(basis: PlanBasis) -> Iterator[Decision]:

@@ -6,11 +6,14 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from astropy import units as u
+from astropy.modeling.models import BlackBody
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.physics.psf.aperture import Pupil, SpiderVanes
 from pipeline.physics.psf.band import (
+    COLOURS_K,
     Chromatic,
     Mixture,
     NoiseLimit,
@@ -119,6 +122,21 @@ def test_a_narrow_band_needs_one_wavelength() -> None:
     forced = choose_wavelengths(lambda w: Airy(w / MEAN), Blur(Airy(1.0)), *band, 1e-3, 3)
     assert len(forced.wavelengths_m) == 3
     assert forced.error <= chosen.error_of_one
+
+
+def test_how_far_the_responses_of_cool_and_hot_stars_are() -> None:
+    """Beside astropy's black bodies in 100 wavelengths; they move the peak by several percent."""
+
+    def make(wavelength_m: float) -> Airy:
+        return Airy(2.0 * wavelength_m / MEAN)
+
+    chosen = choose_wavelengths(make, Blur(Gaussian(1.0)), *BOX, 1e-3)
+    fine = np.linspace(400e-9, 900e-9, 501)
+    for kelvin, told in zip(COLOURS_K, chosen.error_of_colours, strict=True):
+        light = BlackBody(kelvin * u.K)(fine * u.m).to_value("erg/(s cm2 Hz sr)")
+        photons = light / fine  # per wavelength: B_nu c / l^2 over h c / l
+        star = Blur(hundred(make, (fine, photons)))
+        assert told == pytest.approx(response_difference(star, Blur(hundred(make, BOX))), rel=0.03)
 
 
 def test_vanes_and_wavefronts_of_a_band_against_a_hundred_wavelengths() -> None:
