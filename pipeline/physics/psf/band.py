@@ -129,8 +129,8 @@ class BandOptics:
     error : largest difference of any pixel of a star to that of REFERENCE wavelengths, over its
         light; error_of_one : the same for the mean wavelength alone
     error_sigma : largest error beside the brightest source of a NoiseLimit, over the noise there
-    error_of_colours : of stars as black bodies of the temperatures COLOURS_K, which are drawn as one
-        whose photons are spread evenly over the band: over their light, as `error`
+    error_of_colours : of stars as black bodies of the temperatures COLOURS_K, drawn as one whose
+        photons are spread evenly over the band: over their light, as `error`
     """
 
     optics: Optics
@@ -178,7 +178,7 @@ def band_wavelengths(wavelength_m: Array, value: Array, count: int) -> tuple[Arr
 
 
 def _cells(wavelength_m: Array) -> Array:
-    """The edges of so small parts of a curve that it, and what goes with it, is straight in each."""
+    """The edges of so small parts of a band that a curve and a spectrum are straight in each."""
     even = np.linspace(wavelength_m[0], wavelength_m[-1], BAND_CELLS + 1)
     edges: Array = np.union1d(even, wavelength_m)
     return edges

@@ -66,8 +66,8 @@ def _wavelengths(basis: PlanBasis, band: BandOptics) -> Decision:
         return Decision(name, True, f"drawn at {nm} nm: as asked")
     reason = (
         f"drawn at {nm} nm: a pixel differs by up to {band.error:.2g} of its source's light from "
-        f"the whole band ({band.error_of_one:.2g} with the mean wavelength alone), whose photons are "
-        f"spread evenly for sources of all colours: a pixel of a star is off by up to "
+        f"the whole band ({band.error_of_one:.2g} with the mean wavelength alone), whose photons "
+        f"are spread evenly for sources of all colours: a pixel of a star is off by up to "
         f"{_of_colours(band)}, which no bound counts. The bound is beside a source of "
         f"{brightest_e:.3g} e-"
     )
