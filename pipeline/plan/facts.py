@@ -33,7 +33,8 @@ class Facts:
     """What the plan knows of a scene before any star is read.
 
     area_m2 : collecting area; ifov_rad : side of a pixel on the sky
-    mean_wavelength_m : of the response, photon-weighted for a flat photon spectrum
+    mean_wavelength_m : of the response, photon-weighted for a flat photon spectrum; ends_m : its
+        shortest and its longest wavelength
     blur : the response of optics, jitter, diffusion and pixel; of a field, the sharpest
     band : how the optics' band was resolved; None where the optics do not follow the wavelength;
         of a field, the one that errs most
@@ -54,6 +55,7 @@ class Facts:
     area_m2: float
     ifov_rad: float
     mean_wavelength_m: float
+    ends_m: tuple[float, float]
     blur: Blur
     band: BandOptics | None
     background_e_s: float
@@ -134,6 +136,7 @@ def gather_facts(
         area_m2=area,
         ifov_rad=pitch / s.focal_length_m,
         mean_wavelength_m=wavelength,
+        ends_m=ends_m(response),
         blur=blur,
         band=band,
         background_e_s=sky,
@@ -181,6 +184,15 @@ def mean_wavelength_m(response: ResponseCurve) -> float:
     w, v = response.wavelength_m, response.value
     total = float(np.trapezoid(v, w))
     return float(np.trapezoid(v * w, w)) / total if total > 0 else float(0.5 * (w[0] + w[-1]))
+
+
+def ends_m(response: ResponseCurve) -> tuple[float, float]:
+    """Shortest and longest wavelength [m] between which the response is not zero throughout."""
+    lit = np.flatnonzero(response.value > 0.0)
+    if not lit.size:
+        return float(response.wavelength_m[0]), float(response.wavelength_m[-1])
+    last = min(lit[-1] + 1, response.wavelength_m.size - 1)
+    return float(response.wavelength_m[max(lit[0] - 1, 0)]), float(response.wavelength_m[last])
 
 
 def background_rate_e_s(

@@ -165,6 +165,32 @@ def test_colours_are_told_apart_by_the_air_they_are_seen_through():
     assert apart_low / apart == pytest.approx(lost_low / lost, rel=0.1)
 
 
+@pytest.mark.parametrize(
+    ("values", "ends_nm"),
+    [([0, 1, 1, 0, 0], (350, 1000)), ([1, 1, 1, 1, 1], (350, 1100)), ([0, 0, 1, 0, 0], (400, 1000))],
+)
+def test_a_star_is_drawn_out_between_the_ends_of_the_scenes_band(values, ends_nm, tmp_path):
+    """Beside Filippenko's (1982, PASP 94, 715) refractivity of dry air, in the scene's weather."""
+
+    def refractivity(nm):
+        wave2 = (1e3 / nm) ** 2  # [um^-2], at 15 C and 1013.25 hPa
+        standard = 64.328 + 29498.1 / (146.0 - wave2) + 255.4 / (41.0 - wave2)
+        return 1e-6 * standard * 700.0 / 1013.25 * 288.15 / 281.15
+
+    rows = zip((350, 400, 600, 1000, 1100), values, strict=True)
+    text = "\n".join(["wavelength_nm,response", *(f"{nm},{value}" for nm, value in rows)])
+    (tmp_path / "band.csv").write_text(text)
+    curve = {"kind": "table", "path": str(tmp_path / "band.csv")}
+    scene = scene_of(None, sensor=SCENE["sensor"] | {"bandpass": curve})
+    plan = prepare(scene).plan
+    said = {d.component: d for d in plan.decisions}
+    up_deg = float(re.search(r"\((\S+) deg up\)", said["atmosphere.refraction"].reason)[1])
+    apart = refractivity(ends_nm[0]) - refractivity(ends_nm[1])
+    wanted = np.degrees(apart) * 3600.0 / np.tan(np.radians(up_deg))
+    assert said["atmosphere.dispersion"].bound == pytest.approx(wanted, rel=0.05)
+    assert f"arcsec from {ends_nm[0]} to {ends_nm[1]} nm" in said["atmosphere.dispersion"].reason
+
+
 def test_a_tracked_target_stays_in_the_centre_and_fades(tmp_path):
     """A rate track through air: the target at the centre, its light less the extinction, its place
     in the truth the one that the frame's WCS names there."""

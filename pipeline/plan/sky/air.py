@@ -61,7 +61,8 @@ def _refraction(scene: Scene, facts: Facts, sine: float) -> list[Decision]:
     bent = (a * tangent + b * tangent**3) / ARCSEC_RAD
     known = f"{KNOWN_ARCSEC:g} arcsec" if sine > LOW_SINE else "a few arcsec and more this low"
     near = FINITE_M * tangent / sine
-    blue, red = (refraction_terms(*weather_of(scene), nm * 1e-9)[0] for nm in (400.0, 700.0))
+    blue, red = (refraction_terms(*weather_of(scene), end_m)[0] for end_m in facts.ends_m)
+    band = " to ".join(f"{end_m * 1e9:.0f}" for end_m in facts.ends_m)
     return [
         Decision(
             "atmosphere.refraction",
@@ -77,7 +78,7 @@ def _refraction(scene: Scene, facts: Facts, sine: float) -> list[Decision]:
             "atmosphere.dispersion",
             False,
             "one refraction for the whole band: from its blue to its red end a star is "
-            f"drawn out: by {(blue - red) * tangent / ARCSEC_RAD:.2g} arcsec from 400 to 700 nm",
+            f"drawn out: by {(blue - red) * tangent / ARCSEC_RAD:.2g} arcsec from {band} nm",
             bound=float(1.02 * (blue - red) * tangent / ARCSEC_RAD),
             unit="arcsec",
         ),

@@ -106,7 +106,7 @@ def rays(_: Bench) -> Iterator[ProbeResult]:
         bound, unit = stated(plan, "atmosphere.refraction")
         off = abs(exact[0] - ours) / ARCSEC_RAD
         yield ProbeResult("atmosphere.refraction", how, bound, off, unit, told_s, trace_s)
-        colours = np.array([traced(nm * 1e-9)[0] for nm in (400.0, 550.0, 700.0)])
+        colours = np.array([traced(m)[0] for m in (*plan.facts.ends_m, mean)])
         bound, unit = stated(plan, "atmosphere.dispersion")
         off = float(np.ptp(colours)) / ARCSEC_RAD
         yield ProbeResult("atmosphere.dispersion", how, bound, off, unit, told_s, 3.0 * trace_s)
