@@ -167,7 +167,11 @@ def test_colours_are_told_apart_by_the_air_they_are_seen_through():
 
 @pytest.mark.parametrize(
     ("values", "ends_nm"),
-    [([0, 1, 1, 0, 0], (350, 1000)), ([1, 1, 1, 1, 1], (350, 1100)), ([0, 0, 1, 0, 0], (400, 1000))],
+    [
+        ([0, 1, 1, 0, 0], (350, 1000)),
+        ([1, 1, 1, 1, 1], (350, 1100)),
+        ([0, 0, 1, 0, 0], (400, 1000)),
+    ],
 )
 def test_a_star_is_drawn_out_between_the_ends_of_the_scenes_band(values, ends_nm, tmp_path):
     """Beside Filippenko's (1982, PASP 94, 715) refractivity of dry air, in the scene's weather."""

@@ -162,11 +162,10 @@ def _band(
     waves, weights = tuple(found["wavelengths_m"].tolist()), tuple(found["weights"].tolist())
     if len(waves) == 1:  # the mean, to the last bit
         waves, weights = (mean_m,), (1.0,)
-    errors = (float(found[k]) for k in ("error", "error_of_one", "error_sigma"))
+    error, of_one, sigma = (float(found[k]) for k in ("error", "error_of_one", "error_sigma"))
     of_colours = tuple(found["error_of_colours"].tolist())
-    return BandOptics(
-        mixture(tuple(map(make, waves)), weights), waves, weights, *errors, of_colours
-    )
+    optics = mixture(tuple(map(make, waves)), weights)
+    return BandOptics(optics, waves, weights, error, of_one, sigma, of_colours)
 
 
 def _chromatic(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.studies.accuracy.engines import EngineCase
 from pipeline.studies.accuracy.reference import AiryStar, GaussianStar, exact_pixels
+from pipeline.studies.worst import worst_of
 
 Array = NDArray[np.float64]
 
@@ -44,8 +45,8 @@ class Probes:
 
     def errors(self, k: int, image: NDArray[np.floating]) -> tuple[float, float]:
         """(largest error of a pixel over the peak, error of the light) of probe k in an image."""
-        worst = max(
-            float(np.abs(image[np.ix_(w.rows, w.columns)] - w.exact).max()) for w in self.windows[k]
+        worst = worst_of(
+            *(np.abs(image[np.ix_(w.rows, w.columns)] - w.exact).max() for w in self.windows[k])
         )
         if np.isnan(self.boxed[k]):
             return worst / self.peak, 0.0

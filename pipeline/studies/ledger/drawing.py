@@ -13,6 +13,7 @@ from pipeline.studies.scenes.exact import choose_windows
 from pipeline.studies.scenes.level import lights_e
 from pipeline.studies.scenes.stage import light_by, mean_of, noise_of, open_stage
 from pipeline.studies.scenes.switches import Switch, switches
+from pipeline.studies.worst import worst_of
 
 WINDOWS = 4
 AIRY = {"kind": "airy", "jitter_px": 0.5, "wavelengths": 1}
@@ -36,7 +37,7 @@ def _measured(stage, s: Switch, windows, how: str) -> ProbeResult:
         on_s, on = timed(lambda w=window: mean_of(stage, s.on(w), w))  # type: ignore[misc]
         off_s, off = timed(lambda w=window: mean_of(stage, s.off(w), w))  # type: ignore[misc]
         noise = 1.0 if s.of_light else noise_of(stage, off, window)
-        error = max(error, most((on - off) / noise))
+        error = worst_of(error, most((on - off) / noise))
         seconds = [seconds[0] + on_s, seconds[1] + off_s]
     sigma = 1.0 if s.of_light else stage.plan.facts.sigma_floor_e
     unit = "e-" if s.of_light else "sigma"

@@ -19,6 +19,7 @@ from pipeline.spec.load import parse_scene
 from pipeline.studies.ledger.probe import Bench, ProbeResult, most, probe, stated, timed
 from pipeline.studies.ledger.scenes import DEC_DEG, ORBIT, RA_DEG, mean_e, scene
 from pipeline.studies.scenes.stage import gather_stars, open_stage
+from pipeline.studies.worst import worst_of
 
 RUNS, FINE = 400, 4097
 LINE_S, ROWS = 2e-3, 5
@@ -37,7 +38,7 @@ def distortion(_: Bench) -> Iterator[ProbeResult]:
     powers = [(int(k[0]), int(k[2]), t) for k, t in terms.items()]
     in_s, moved = timed(lambda: sum(t * u**p * v**q for p, q, t in powers), 3)
     out_s, found = timed(lambda: d.to_detector(u + moved, v - 0.7 * moved), 3)
-    off = max(most(found[0] - u), most(found[1] - v))
+    off = worst_of(most(found[0] - u), most(found[1] - v))
     bound, unit = stated(plan, "distortion")
     yield ProbeResult(
         "distortion",
@@ -179,7 +180,7 @@ def jitter(_: Bench) -> Iterator[ProbeResult]:
         f"{count} exposures of white jitter followed wave by wave, a "
         "star as bright as the noise floor",
         bound,
-        max(worst),
+        worst_of(*worst),
         "sigma",
         spent[0] / count,
         spent[1] / count,
@@ -222,7 +223,7 @@ def rolling(bench: Bench) -> Iterator[ProbeResult]:
         in_s, own = timed(lambda d=late: _second_frame(d))  # type: ignore[misc]
         k = int(np.flatnonzero(own.source_id == stars.source_id[i])[0])
         off = own.x_px[k] - stars.x_px[i], own.y_px[k] - stars.y_px[i]
-        worst, spent = max(worst, float(np.hypot(*off))), spent + in_s
+        worst, spent = worst_of(worst, np.hypot(*off)), spent + in_s
     bound, unit = stated(stage.plan, "rolling_shutter")
     yield ProbeResult(
         "rolling_shutter",

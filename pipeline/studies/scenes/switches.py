@@ -20,6 +20,7 @@ from pipeline.plan.tiles import Tile
 from pipeline.studies.scenes.exact import Exact, exact_sky
 from pipeline.studies.scenes.level import cut_e, lights_near
 from pipeline.studies.scenes.stage import Light, Stage, blocks_by, light_by, mean_of, open_stage
+from pipeline.studies.worst import worst_of
 
 MANY = 12  # wavelengths
 MOST = 640  # that a scene may ask for
@@ -56,8 +57,8 @@ def _measured(stage: Stage, tiles: tuple[Tile, ...], exact: Exact, switch: Switc
     error_e = error_sigma = 0.0
     for window, noise in zip(exact.windows, exact.noise_e, strict=True):
         on, off = (mean_of(stage, f(window), window) for f in (switch.on, switch.off))
-        error_e = max(error_e, float(np.abs(on - off).max()))
-        error_sigma = max(error_sigma, float((np.abs(on - off) / noise).max()))
+        error_e = worst_of(error_e, np.abs(on - off).max())
+        error_sigma = worst_of(error_sigma, (np.abs(on - off) / noise).max())
     seconds_on = _seconds(light_by(stage, stage.plan), tiles)
     scaled = 1.0
     region = tiles

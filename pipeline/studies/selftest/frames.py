@@ -14,6 +14,7 @@ from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
 from pipeline.studies.selftest.case import CaseResult, case
 from pipeline.studies.selftest.scenes import BODY, frames, scene, sky_only
+from pipeline.studies.worst import worst_of
 
 Array = np.ndarray
 
@@ -59,7 +60,7 @@ def widths(folder: Path) -> CaseResult:
             sensor__shape=[side, side],
             targets=[_body(0.5)],
         )
-        worst = max(worst, noise)
+        worst = worst_of(worst, noise)
         said.append(f"{sigma}: {peak:.1g} of peak")
     return CaseResult("as erf", ", ".join(said), worst)
 
@@ -88,7 +89,7 @@ def fluxes(folder: Path) -> CaseResult:
         given = float(found.truth["electrons"][0])
         per_m2 = per_m2 or given / size**2
         total = float(found.layers["mean_e"].astype(float).sum())
-        worst = max(worst, abs(total / given - 1.0), abs(given / size**2 / per_m2 - 1.0))
+        worst = worst_of(worst, abs(total / given - 1.0), abs(given / size**2 / per_m2 - 1.0))
         said.append(f"{given:.3g}")
     return CaseResult("sum = truth, truth ~ size^2", " ".join(said) + " e-", worst)
 
@@ -104,7 +105,7 @@ def exposures(folder: Path) -> CaseResult:
     for seconds in (1e-9, 1e4):
         sky = {"background": {"uniform_e_per_s": 3.0}, "exposure.integration_s": seconds}
         mean = frames(sky_only(sky), folder / f"{seconds:g}").layers["mean_e"]
-        worst = max(worst, float(np.abs(mean / (3.0 * seconds) - 1.0).max()))
+        worst = worst_of(worst, np.abs(mean / (3.0 * seconds) - 1.0).max())
     return CaseResult("3e-9 and 3e4 e-", f"within {worst:.2g}", worst)
 
 
@@ -130,7 +131,7 @@ def adc_63(folder: Path) -> CaseResult:
     off = [abs(int(v) - (10**18 + 10**9)) for v in dn.ravel()]
     off += [abs(int(v) - (2**63 - 1)) for v in top.ravel()]
     return CaseResult(
-        "10^18 + 10^9; 2^63 - 1", f"{int(dn.flat[0])}; {int(top.flat[0])}", float(max(off))
+        "10^18 + 10^9; 2^63 - 1", f"{int(dn.flat[0])}; {int(top.flat[0])}", worst_of(*off)
     )
 
 
@@ -150,10 +151,8 @@ def saturated(folder: Path) -> CaseResult:
     }
     well = frames(sky_only(sky), folder / "well").layers["dn"]
     adc = frames(sky_only({**sky, "sensor.adc_bits": 8}), folder / "adc").layers["dn"]
-    off = max(np.abs(well.astype(float) - 500).max(), np.abs(adc.astype(float) - 255).max())
-    return CaseResult(
-        "500; 255", f"{well.min()} to {well.max()}; {adc.min()} to {adc.max()}", float(off)
-    )
+    off = worst_of(np.abs(well.astype(float) - 500).max(), np.abs(adc.astype(float) - 255).max())
+    return CaseResult("500; 255", f"{well.min()} to {well.max()}; {adc.min()} to {adc.max()}", off)
 
 
 @case("frames/one-pixel", "a focal plane of one pixel with a body on it", "erf", 0.05, "sigma")

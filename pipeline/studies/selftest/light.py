@@ -13,6 +13,7 @@ from pipeline.physics.targets.plate import box_area_function, plate_area_functio
 from pipeline.physics.targets.shadow import uncovered_fraction
 from pipeline.physics.targets.sphere import sphere_area_function
 from pipeline.studies.selftest.case import CaseResult, case
+from pipeline.studies.worst import worst_of
 
 SUN_M = 1.495978707e11
 
@@ -58,7 +59,7 @@ def penumbra(_: Path) -> CaseResult:
         # from the body's centre, straight on the sphere: cos r = cos(c + x) cos y
         free = np.cos(c + x) * np.cos(y) < np.cos(b)
         right = np.count_nonzero(sun & free) / np.count_nonzero(sun)
-        worst = max(worst, abs(float(uncovered_fraction(a, b, c)[0]) - right))
+        worst = worst_of(worst, abs(float(uncovered_fraction(a, b, c)[0]) - right))
     return CaseResult("as counted", f"within {worst:.2g}", worst)
 
 
@@ -72,7 +73,7 @@ def sphere_phases(_: Path) -> CaseResult:
     e = 1e-5
     full, dark, thin = sphere_area_function(np.array([0.0, np.pi, np.pi - e]), 2.0)
     right = (2.0 * np.pi / 3.0, 2.0 / 9.0 * e**3)
-    error = max(abs(full / right[0] - 1.0), abs(thin / right[1] - 1.0), abs(dark))
+    error = worst_of(abs(full / right[0] - 1.0), abs(thin / right[1] - 1.0), abs(dark))
     return CaseResult(
         f"{right[0]:.6g}, 0, {right[1]:.6g} m2",
         f"{full:.6g}, {dark:.3g}, {thin:.6g} m2",
@@ -106,5 +107,5 @@ def needle_and_disc(_: Path) -> CaseResult:
     needle = float(frustum_area_function(x, x, 1e-6, 1e-6, 1.0))
     disc = float(frustum_area_function(z, z, 1.0, 1.0, 1e-6))
     right = 0.5 * np.pi * 1e-6, np.pi
-    error = max(abs(needle / right[0] - 1.0), abs(disc / right[1] - 1.0))
+    error = worst_of(abs(needle / right[0] - 1.0), abs(disc / right[1] - 1.0))
     return CaseResult(f"{right[0]:.6g}, {right[1]:.6g} m2", f"{needle:.6g}, {disc:.6g} m2", error)

@@ -14,6 +14,7 @@ from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.vectors import unit
 from pipeline.studies.selftest.case import CaseResult, case
 from pipeline.studies.selftest.scenes import BODY, frames, scene
+from pipeline.studies.worst import worst_of
 
 Array = np.ndarray
 
@@ -136,6 +137,6 @@ def fly_by_drawn(folder: Path) -> CaseResult:
         t["electrons"] * along(mean.shape[0], row) * (along(mean.shape[1], across) @ (0.5 * weight))
     )
     off = float((np.abs(mean - right) / np.sqrt(right + 1.0)).max())
-    apart = max(abs(length - 10.0) / 0.01, abs(t["range_m"] - 1000.0) / 0.1)
+    apart = worst_of(abs(length - 10.0) / 0.01, abs(t["range_m"] - 1000.0) / 0.1)
     said = f"{length:.4f} px, {t['range_m']:.2f} m, {t['electrons']:.4g} e-, {off:.2g} sigma"
     return CaseResult("10 px, 1000 m", said, off if apart <= 1.0 else np.inf)

@@ -11,6 +11,7 @@ from catalog_tools.documents import JsonObject
 from catalog_tools.ingest.ingest import ingest
 from pipeline.studies.selftest.case import CaseResult, case
 from pipeline.studies.selftest.scenes import Frames, frames, sky_only
+from pipeline.studies.worst import worst_of
 
 Array = np.ndarray
 PIXEL_ARCSEC = np.degrees(1e-3) * 3600.0
@@ -99,7 +100,7 @@ def streaks(folder: Path) -> CaseResult:
         mean = found.layers["mean_e"][0].astype(float)
         right = t["electrons"] * _swept(mean.shape, t, 0.8)
         off = float((np.abs(mean - right) / np.sqrt(right + 1.0)).max())
-        worst = max(worst, off)
+        worst = worst_of(worst, off)
         said.append(f"{length:g} px: {off:.2g}")
     return CaseResult("as swept", ", ".join(said), worst)
 
