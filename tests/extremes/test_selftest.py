@@ -185,3 +185,28 @@ def test_a_page_that_cannot_be_written_is_refused_before_any_case_runs(tmp_path,
     monkeypatch.setattr(command, "run_cases", run_none)
     with pytest.raises(BadInput, match=r"--markdown: .*allowed: a file in a folder that exists"):
         command.selftest(None, tmp_path / "missing" / "page.md", False)
+
+
+@pytest.mark.parametrize(
+    ("room", "work", "named"),
+    [(light, "uncovered_fraction", "penumbra"), (places, "keplerian_states", "orbits"),
+     (places, "_off_px", "wide_and_narrow")],
+)  # fmt: skip
+def test_what_is_no_number_passes_no_case(room, work, named, tmp_path, monkeypatch):
+    """The last of several results alone; the worst of them would be that of the others."""
+    real, calls = getattr(room, work), []
+    monkeypatch.setattr(room, work, lambda *a: calls.append(1) or real(*a))
+    run_case(getattr(room, named), tmp_path)  # how often it asks
+    last, calls[:] = len(calls), []
+
+    def broken(*asked):
+        calls.append(1)
+        found = real(*asked)
+        if len(calls) < last:
+            return found
+        return tuple(one * np.nan for one in found) if isinstance(found, tuple) else found * np.nan
+
+    monkeypatch.setattr(room, work, broken)
+    outcome = run_case(getattr(room, named), tmp_path)
+    assert not outcome.fault
+    assert not outcome.passed

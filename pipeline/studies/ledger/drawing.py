@@ -33,9 +33,9 @@ def _measured(stage, s: Switch, windows, how: str) -> ProbeResult:
     """One approximation: the worst of some windows, in units of the pixel's noise or in e-."""
     error, seconds = 0.0, [0.0, 0.0]
     for window in windows:
-        s.on(window), s.off(window)  # tables of what is timed
-        on_s, on = timed(lambda w=window: mean_of(stage, s.on(w), w))  # type: ignore[misc]
-        off_s, off = timed(lambda w=window: mean_of(stage, s.off(w), w))  # type: ignore[misc]
+        s.on()(window), s.off()(window)  # tables of what is timed
+        on_s, on = timed(lambda w=window: mean_of(stage, s.on()(w), w))  # type: ignore[misc]
+        off_s, off = timed(lambda w=window: mean_of(stage, s.off()(w), w))  # type: ignore[misc]
         noise = 1.0 if s.of_light else noise_of(stage, off, window)
         error = worst_of(error, most((on - off) / noise))
         seconds = [seconds[0] + on_s, seconds[1] + off_s]

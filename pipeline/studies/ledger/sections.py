@@ -45,7 +45,7 @@ def sections(bench: Bench) -> Iterator[ProbeResult]:
         blocks = blocks_by(stage, stage.plan)(tile)
         return tile_light(stage.plan, stage.g, tile, [stage.stars], blocks, which)["stars_e"]
 
-    out_s, a = timed(lambda: light(among, ("stars",)), 3)
+    out_s, a = timed(lambda: light(alone, ("stars",)), 3)
     in_s, b = timed(lambda: light(among, ("stars", "targets", "sky")), 3)
     for name in ("targets", "background", "cosmic_rays"):
         bound, unit = stated(alone.plan, name)
@@ -130,8 +130,8 @@ def one_draw(_: Bench) -> Iterator[ProbeResult]:
     place = StreamPlace(0, 0, 0, (1, 2), (3, 4), (5, 6))
     one = Chain(1.0, 0.0, None, READ_E, 1.0, 100.0, 16)
     two = replace(one, linearity=(np.array([0.0, 1.0]), np.array([0.0, 1.0])))
-    out_s, _x = timed(lambda: to_dn(mean, two, place), 3)
-    in_s, _x = timed(lambda: to_dn(mean, one, place), 3)
+    out_s, _x = timed(lambda: to_dn(mean, one, place), 3)
+    in_s, _x = timed(lambda: to_dn(mean, two, place), 3)
     bound, unit = stated(prepare(parse_scene(scene())).plan, "one_noise_draw")
     yield ProbeResult(
         "one_noise_draw",

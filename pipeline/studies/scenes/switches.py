@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ MANY = 12  # wavelengths
 MOST = 640  # that a scene may ask for
 LARGEST_DOUBLED_PX = 72.0  # of cores: tables of larger ones take minutes
 FEW_STARS = 60  # that may be drawn one by one under the clock
+Drawing = Callable[[], Light]  # anew: nothing of an earlier one is kept but tables
 REGIONS_PX = (1024, 256, 128, 64, 32, 16)
 
 
@@ -33,7 +35,7 @@ REGIONS_PX = (1024, 256, 128, 64, 32, 16)
 class Switch:
     """An approximation of a plan, drawn with it and without it.
 
-    off : light without it; on : light that differs in nothing else
+    off : draws the light without it; on : light that differs in nothing else
     bound_e : what the plan says that a pixel may err by at the noise floor [e-]; where it is of a
         source's light, that times the brightest one's that reaches a window (all of theirs for the
         end of their wings)
@@ -41,8 +43,8 @@ class Switch:
     """
 
     component: str
-    on: Light
-    off: Light
+    on: Drawing
+    off: Drawing
     bound_e: float
     one_by_one: bool = False
     of_light: bool = False
@@ -55,16 +57,17 @@ def measure_switches(stage: Stage, tiles: tuple[Tile, ...], exact: Exact) -> lis
 
 def _measured(stage: Stage, tiles: tuple[Tile, ...], exact: Exact, switch: Switch) -> JsonObject:
     error_e = error_sigma = 0.0
+    lights = switch.on(), switch.off()
     for window, noise in zip(exact.windows, exact.noise_e, strict=True):
-        on, off = (mean_of(stage, f(window), window) for f in (switch.on, switch.off))
+        on, off = (mean_of(stage, light(window), window) for light in lights)
         error_e = worst_of(error_e, np.abs(on - off).max())
         error_sigma = worst_of(error_sigma, (np.abs(on - off) / noise).max())
-    seconds_on = _seconds(light_by(stage, stage.plan), tiles)
+    seconds_on = _seconds(partial(light_by, stage, stage.plan), tiles)
     scaled = 1.0
     region = tiles
     if switch.one_by_one:
         region, scaled = _few(stage, tiles)
-    seconds_off = _seconds(switch.off, region) * scaled
+    seconds_off = _seconds(switch.off, region, scaled)
     sigma = stage.plan.facts.sigma_floor_e
     return {
         "component": switch.component,
@@ -82,13 +85,22 @@ def _measured(stage: Stage, tiles: tuple[Tile, ...], exact: Exact, switch: Switc
     }
 
 
-def _seconds(light: Light, tiles: tuple[Tile, ...]) -> float:
-    """CPU seconds of the light of some tiles, once tables are there."""
-    light(Tile(0, 0, tiles[0].y0, tiles[0].x0, min(16, tiles[0].rows), min(16, tiles[0].columns)))
-    began = time.process_time()
+def _seconds(drawing: Drawing, tiles: tuple[Tile, ...], scaled: float = 1.0) -> float:
+    """CPU seconds of the light of some tiles, once tables are there: of the blocks that hold wings
+    and crowds once, of the rest so many times as much."""
+    drawing()(_corner(tiles[0]))
+    light, began = drawing(), time.process_time()
+    for tile in tiles:
+        light(_corner(tile))
+    blocks_s = time.process_time() - began
     for tile in tiles:
         light(tile)
-    return time.process_time() - began
+    return blocks_s + scaled * (time.process_time() - began - blocks_s)
+
+
+def _corner(tile: Tile) -> Tile:
+    """A few pixels of a tile."""
+    return Tile(0, 0, tile.y0, tile.x0, min(16, tile.rows), min(16, tile.columns))
 
 
 def _few(stage: Stage, tiles: tuple[Tile, ...]) -> tuple[tuple[Tile, ...], float]:
@@ -111,9 +123,10 @@ def switches(stage: Stage, tiles: tuple[Tile, ...], windows: Sequence[Tile]) -> 
     """
     plan = stage.plan
     bounds = {d.component: d.error_bound_e for d in plan.decisions if d.error_bound_e}
-    on = light_by(stage, plan)
+    drawn_by = partial(partial, light_by, stage)
+    on: Drawing = drawn_by(plan)
 
-    def told(component: str, off: Light, **more: Any) -> Iterator[Switch]:
+    def told(component: str, off: Drawing, **more: Any) -> Iterator[Switch]:
         if component in bounds:
             yield Switch(component, more.pop("on", on), off, float(bounds[component] or 0), **more)
 
@@ -123,25 +136,25 @@ def switches(stage: Stage, tiles: tuple[Tile, ...], windows: Sequence[Tile]) -> 
     plain = _without_tables(plan)
     brightest_e, all_e = _lights(stage, windows)
     if plan.scene.stars is not None:
-        yield from told("phase_interpolation", light_by(stage, plain), one_by_one=True)
+        yield from told("phase_interpolation", drawn_by(plain), one_by_one=True)
     if plan.responses.streaks.longest_px:
         yield from told(
-            "common_streak", _own_paths(stage, plain), on=light_by(stage, plain), one_by_one=True
+            "common_streak", partial(_own_paths, stage, plain), on=drawn_by(plain), one_by_one=True
         )
     if _in_crowds(stage, tiles):
         stamps = replace(plan, responses=replace(plan.responses, spectral_from=0))
-        yield from told("crowds_by_transforms", light_by(stage, stamps))
-    finer = light_by(stage, _without_tables(_finer_wings(plan)))
+        yield from told("crowds_by_transforms", drawn_by(stamps))
+    finer = drawn_by(_without_tables(_finer_wings(plan)))
     yield from told(
         "wings_on_a_coarse_grid",
         finer,
-        on=light_by(stage, plain),
+        on=drawn_by(plain),
         one_by_one=plan.scene.stars is not None,
     )
     if "wings_cut_off" in bounds:
         bound = cut_e(plan, all_e)
-        yield Switch("wings_cut_off", on, light_by(stage, _farther(stage)), bound, of_light=True)
-    yield from told("targets.point_sources", light_by(stage, _with_discs(plan)))
+        yield Switch("wings_cut_off", on, drawn_by(_farther(stage)), bound, of_light=True)
+    yield from told("targets.point_sources", drawn_by(_with_discs(plan)))
     if plan.facts.band is not None:
         yield from _wavelengths(stage, brightest_e)
 
@@ -191,10 +204,15 @@ def _in_crowds(stage: Stage, tiles: tuple[Tile, ...]) -> bool:
     return any(block.crowd_e is not None for tile in tiles for block in blocks(tile))
 
 
-def _with_exact_sky(stage: Stage, on: Light) -> Light:
+def _with_exact_sky(stage: Stage, on: Drawing) -> Drawing:
     """The sky of each pixel at its own place."""
     sky = exact_sky(stage)
-    return lambda tile: on(tile) | {"background_e": sky(tile)}
+
+    def anew() -> Light:
+        light = on()
+        return lambda tile: light(tile) | {"background_e": sky(tile)}
+
+    return anew
 
 
 def _own_paths(stage: Stage, plan: Plan) -> Light:
@@ -230,6 +248,6 @@ def _wavelengths(stage: Stage, brightest_e: float) -> Iterator[Switch]:
         facts=finer.plan.facts,
         responses=replace(stage.plan.responses, blur=finer.plan.responses.blur),
     )
-    on, off = (light_by(stage, _without_tables(p)) for p in (stage.plan, plan))
+    on, off = (partial(light_by, stage, _without_tables(p)) for p in (stage.plan, plan))
     one_by_one = plan.scene.stars is not None
     yield Switch(name, on, off, band.error * brightest_e, one_by_one, of_light=True)

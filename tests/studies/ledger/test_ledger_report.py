@@ -234,3 +234,26 @@ def test_the_raster_of_the_sun_is_darker_at_its_limb(depth_m):
     for u in (0.0, 0.9):
         share = float(sunlit_past_earth(place[None], sun, u, True)[0])
         assert _rastered(place, sun, u, 170) == pytest.approx(share, abs=0.004)
+
+
+def test_stars_alone_are_drawn_by_the_plan_of_stars_alone(monkeypatch):
+    """Beside the plan of everything else: the same image by two plans."""
+    from pipeline.studies.ledger import sections
+
+    drawn = []
+
+    def staged(data):
+        return SimpleNamespace(plan="among" if "targets" in data else "alone", g=None, stars=None)
+
+    def light(plan, *rest):
+        drawn.append((plan, rest[-1]))
+        return {"stars_e": np.ones(1)}
+
+    monkeypatch.setattr(sections, "open_stage", staged)
+    monkeypatch.setattr(sections, "whole", lambda _: None)
+    monkeypatch.setattr(sections, "blocks_by", lambda *_: lambda _: None)
+    monkeypatch.setattr(sections, "tile_light", light)
+    monkeypatch.setattr(sections, "timed", lambda work, _: (0.0, work()))
+    monkeypatch.setattr(sections, "stated", lambda *_: (0.0, "e-"))
+    assert [f.error for f in sections.sections(SimpleNamespace(catalogue="none"))] == [0.0] * 3
+    assert drawn == [("alone", ("stars",)), ("among", ("stars", "targets", "sky"))]

@@ -9,6 +9,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -24,7 +25,7 @@ from pipeline.plan.response.responses import CoreClass
 from pipeline.plan.tiles import Tile, cut_up
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
-from pipeline.studies.scenes import scenes, stage, study
+from pipeline.studies.scenes import scenes, stage, study, switches
 from pipeline.studies.scenes.exact import _below, _bright_places
 from pipeline.studies.scenes.figure import ladder_figure
 from pipeline.studies.scenes.report import report_scenes
@@ -244,3 +245,37 @@ def test_each_tile_is_drawn_from_the_blocks_that_it_touches(
     assert around(Tile(0, 0, 2, 8, 5, 5)) == [places[0], places[1]]
     assert around(Tile(0, 0, 0, 0, 20, 30)) == list(places)
     assert sorted(drawn, key=places.index) == list(places)
+
+
+def test_seconds_count_the_blocks_once_and_the_rest_as_often_as_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A drawing that takes 5 s for its block, and 1 s for each part of it, by its own clock."""
+    clock = SimpleNamespace(now=0.0, process_time=lambda: clock.now)
+    monkeypatch.setattr(switches, "time", clock)
+
+    def drawing() -> Any:
+        left = [5.0]
+
+        def light(_: Tile) -> None:
+            clock.now += (left.pop() if left else 0.0) + 1.0
+
+        return light
+
+    tiles = (Tile(0, 0, 0, 0, 64, 64), Tile(0, 1, 0, 64, 64, 64))
+    assert switches._seconds(drawing, tiles) == 5.0 + 2.0 + 2.0
+    assert switches._seconds(drawing, tiles[:1], 30.0) == 5.0 + 1.0 + 30.0
+
+
+def test_an_image_that_is_no_number_does_not_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    tile = Tile(0, 0, 0, 0, 4, 4)
+    one, nothing = ({"stars_e": np.full((4, 4), value)} for value in (1.0, np.nan))
+    monkeypatch.setattr(switches, "mean_of", lambda _, light, __: light["stars_e"])
+    monkeypatch.setattr(switches, "light_by", lambda *_: lambda _: one)
+    of_noise = SimpleNamespace(windows=(tile, tile), noise_e=(1.0, 1.0))
+    facts = SimpleNamespace(sigma_floor_e=1.0)
+    of_plan: Any = SimpleNamespace(plan=SimpleNamespace(facts=facts))
+    for off, holds in ((one, True), (nothing, False)):
+        switch = switches.Switch("sky", lambda: lambda _: one, lambda off=off: lambda _: off, 0.5)  # type: ignore[misc]
+        found = switches._measured(of_plan, (tile,), of_noise, switch)  # type: ignore[arg-type]
+        assert found["holds"] is holds
