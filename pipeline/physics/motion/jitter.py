@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-PER_OCTAVE = 24  # bins of the frequency axis
+PER_OCTAVE, FEWEST = 24, 32  # bins of the frequency axis; in a narrow band
 MOST_OCTAVES = 60.0
 TAIL = 1e4  # a resonance is followed up to this many times its frequency: 1e-12 of its power
 _GAUSS = np.polynomial.legendre.leggauss(8)
@@ -87,7 +87,7 @@ def bins_of(spectrum: Spectrum, split_hz: float) -> SpectrumBins:
     """Bins of a spectrum, `split_hz` among their edges; variances by 8-point Gauss-Legendre."""
     low, high = spectrum.low_hz, spectrum.high_hz
     octaves = np.log2(high / low)
-    count = int(np.ceil(PER_OCTAVE * min(octaves, MOST_OCTAVES)))
+    count = max(FEWEST, int(np.ceil(PER_OCTAVE * min(octaves, MOST_OCTAVES))))
     inner = [*spectrum.knots_hz, split_hz]
     edge = np.concatenate([np.geomspace(low, high, count + 1)[1:-1], inner])
     edge = np.unique(np.concatenate([[low], edge[(edge > low) & (edge < high)], [high]]))
@@ -154,17 +154,20 @@ class Waves:
 
 
 def waves(bins: SpectrumBins, split_hz: float, normals: Array, shares: Array) -> Waves:
-    """A random run of the part below `split_hz`: one wave a bin, Gaussian in each moment.
+    """A random run of the part below `split_hz`: one wave a bin, of its variance and random phase.
 
-    normals : (bins, 4) standard normal draws; shares : (bins,) in (0, 1), where in its bin a wave
-    lies, so that no period repeats
+    So each run has the spectrum and the rms that were asked for, and at any moment a sum of many
+    waves, near to Gaussian (Shinozuka & Deodatis 1991, Appl. Mech. Rev. 44, 191).
+
+    normals : (bins, 4) standard normal draws, whose directions (0 with 2, 1 with 3) are the phases
+    shares : (bins,) in (0, 1), where in its bin a wave lies, so that no period repeats
     """
     slow = bins.edge_hz[:-1] < split_hz
     f = bins.edge_hz[:-1] + shares[: len(bins.variance)] * np.diff(bins.edge_hz)
-    size = np.sqrt(bins.variance)[:, None]
-    draws = size * normals[: len(size)]
     keep = slow & (bins.variance > 0.0)
-    return Waves(f[keep], draws[keep, :2], draws[keep, 2:])
+    cosine, sine = normals[: len(keep)][keep, :2], normals[: len(keep)][keep, 2:]
+    size = np.sqrt(2.0 * bins.variance[keep])[:, None] / np.hypot(cosine, sine)
+    return Waves(f[keep], size * cosine, size * sine)
 
 
 def slow_loss(bins: SpectrumBins, split_hz: float, step_s: float) -> float:

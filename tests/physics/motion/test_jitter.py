@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy
 from scipy.integrate import quad
 from scipy.signal import welch
 
@@ -62,6 +63,21 @@ def test_against_the_periodogram_of_a_run(name: str) -> None:
         power = found[mine].sum() * (f[1] - f[0])
         inside = (bins.middle_hz >= low) & (bins.middle_hz < 2.0 * low)
         assert power == pytest.approx(bins.variance[inside].sum(), rel=0.45, abs=2e-3), low
+
+
+@pytest.mark.parametrize(("low_hz", "high_hz"), [(5.0, 5.1), (1.0, 10.0), (0.05, 20.0)])
+def test_each_run_has_the_rms_asked_for(low_hz: float, high_hz: float) -> None:
+    """Over a long time, on both axes; at one moment the runs are Gaussian among themselves."""
+    bins = bins_of(jitter.white(0.7, low_hz, high_hz), 100.0)
+    t, moment = np.arange(0.0, 4000.0, 0.0713), []
+    for seed in range(600):
+        rng, n = np.random.default_rng(seed), len(bins.variance)
+        run = waves(bins, 100.0, rng.standard_normal((n, 4)), rng.random(n))
+        moment.append(run.at(np.array([12.3]))[0])
+        if seed < 3:
+            assert run.at(t).std(axis=0) == pytest.approx(0.7, rel=0.02)
+    assert np.std(moment, axis=0) == pytest.approx(0.7, rel=0.1)
+    assert scipy.stats.kurtosis(moment, axis=0, fisher=False) == pytest.approx(3.0, abs=0.8)
 
 
 @pytest.mark.parametrize("name", SPECTRA)
