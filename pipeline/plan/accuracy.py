@@ -200,23 +200,30 @@ def _summed(column: Array, row: Array, values: Array) -> tuple[Array, Array, Any
     return across + first_column, down + first_row, sums
 
 
-def doubts_of(asked: float, stated: float, achieved: float | None, accepted: bool) -> list[str]:
-    """What a finished product says first where its error is not the one that was promised.
+def doubts_of(stated: float, achieved: float | None) -> list[str]:
+    """What a finished product says first where its error is not the one that was stated.
 
-    asked, stated, achieved : errors in units of a pixel's noise: of the scene, the sum of all
-        bounds for the sources that were drawn, and what drawing small windows again found (None
-        where none was drawn); accepted : the scene accepts a bound above what it asks for
+    stated, achieved : errors in units of a pixel's noise: the sum of all bounds for the sources
+        that were drawn, and what drawing small windows again found (None where none was drawn)
     """
-    doubts = []
-    if achieved is not None and achieved > stated * ROUNDING:
-        doubts.append(
-            f"pixels were found to err by {achieved:.3g} of their noise where at most "
-            f"{stated:.3g} was stated"
-        )
-    if stated > asked * ROUNDING and not accepted:
-        doubts.append(
-            f"the brightest source or the densest crowd drawn is brighter than the drawing serves "
-            f"within what was asked: pixels there may err by {stated:.3g} of their noise, not "
-            f"{asked:g}"
-        )
-    return doubts
+    if achieved is None or achieved <= stated * ROUNDING:
+        return []
+    return [
+        f"pixels were found to err by {achieved:.3g} of their noise where at most "
+        f"{stated:.3g} was stated"
+    ]
+
+
+def doubts_of_light(promised: float, stated: float) -> list[str]:
+    """The same where the sources that were drawn are brighter than the plan took them to be.
+
+    promised, stated : sums of all bounds: what was asked, or the plan's own where it was accepted
+        above that; and for the sources that were drawn
+    """
+    if stated <= promised * ROUNDING:
+        return []
+    return [
+        f"the brightest source or the densest crowd drawn is brighter than the drawing serves "
+        f"within what was asked: pixels there may err by {stated:.3g} of their noise, not "
+        f"{promised:g}"
+    ]

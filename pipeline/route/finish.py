@@ -18,7 +18,13 @@ from pipeline.execute.coordinates import frame_coordinates
 from pipeline.export.picture import write_preview
 from pipeline.inputs.sensor.detector import gather_faults
 from pipeline.lazily import arrow
-from pipeline.plan.accuracy import doubts_of, for_sources, total_e, total_sigma
+from pipeline.plan.accuracy import (
+    doubts_of,
+    doubts_of_light,
+    for_sources,
+    total_e,
+    total_sigma,
+)
 from pipeline.plan.described import colour_facts
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
@@ -55,14 +61,16 @@ def finish(
     rows |= _faults(plan, product)
     gathered = gather_markers(plan, product)
     errors = _errors(plan, drawn, gathered.checks)
-    doubts = _doubts(plan, errors)
-    plan = replace(plan, warnings=(*doubts, *plan.warnings))
+    of_light = _doubts_of_light(plan, errors)
+    doubts = _doubts(errors)
+    plan = replace(plan, warnings=(*doubts, *of_light, *plan.warnings))
     finish_cube(product, gathered.coordinates, _attributes(plan, catalogues))
     write_preview(product, plan)
     residual = float(gathered.coordinates["wcs_residual_px"][1].max())
     errors = {"wcs_residual_px": residual} | errors
     report = _report(plan, catalogues, begun, rows, errors, gathered.digest)
-    report["errors"]["as_stated"] = not doubts
+    accepted = not of_light or "error" in plan.scene.accept
+    report["errors"]["as_stated"] = not doubts and accepted
     report["seconds"] = times | {"finish_s": time.perf_counter() - started}
     layout.write_atomically(product / layout.REPORT, layout.to_json(report))
     seal(product, gathered.digest)
@@ -244,13 +252,13 @@ def _empty_noise(plan: Plan) -> JsonObject:
     return {"empty_noise_e": [float(f"{v:.6g}") for v in noise_e]}
 
 
-def _doubts(plan: Plan, errors: JsonObject) -> list[str]:
-    return doubts_of(
-        errors["asked_sigma"],
-        errors["bound_of_all_approximations_sigma"],
-        errors["achieved_error_sigma"],
-        "error" in plan.scene.accept,
-    )
+def _doubts(errors: JsonObject) -> list[str]:
+    return doubts_of(errors["bound_of_all_approximations_sigma"], errors["achieved_error_sigma"])
+
+
+def _doubts_of_light(plan: Plan, errors: JsonObject) -> list[str]:
+    promised = max(errors["asked_sigma"], total_sigma(plan.decisions))
+    return doubts_of_light(promised, errors["bound_of_all_approximations_sigma"])
 
 
 def _achieved(checks: list[JsonObject]) -> JsonObject:

@@ -132,7 +132,7 @@ class Measurement:
     def doubts(self) -> list[str]:
         """What is said where the light errs by more than was stated."""
         bound, found = self._errors()
-        return doubts_of(self.plan.scene.accuracy.noise_fraction, bound, found, True)
+        return doubts_of(bound, found)
 
     def _errors(self) -> tuple[float, float | None]:
         """The bound of all approximations, and what was found, in units of an empty pixel's noise

@@ -15,6 +15,7 @@ from pipeline.physics.psf.band import BandOptics, NoiseLimit, choose_wavelengths
 from pipeline.physics.psf.pupil import Airy, Blur
 from pipeline.plan.accuracy import (
     doubts_of,
+    doubts_of_light,
     for_sources,
     judge,
     part_sigma,
@@ -175,14 +176,13 @@ def _pixels(wavelengths_m: Any, weights: Any, x_px: np.ndarray) -> np.ndarray:
 
 
 def test_doubts_of_a_finished_product() -> None:
-    assert doubts_of(0.05, 0.04, 0.039, False) == []
-    assert doubts_of(0.05, 0.04, None, False) == []
-    (found,) = doubts_of(0.05, 0.04, 0.5, False)
+    assert doubts_of(0.04, 0.039) == doubts_of(0.04, None) == []
+    (found,) = doubts_of(0.04, 0.5)
     assert "0.5" in found
     assert "0.04" in found
-    (brighter,) = doubts_of(0.05, 0.08, 0.01, False)
+    (brighter,) = doubts_of_light(0.05, 0.08)
     assert "0.08" in brighter
-    assert doubts_of(0.05, 0.08, 0.01, True) == []
+    assert doubts_of_light(0.05, 0.05) == doubts_of_light(0.05, 0.04) == []
 
 
 def test_a_brighter_source_raises_what_goes_with_its_light() -> None:

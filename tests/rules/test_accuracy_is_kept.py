@@ -28,6 +28,7 @@ from pipeline.errors import BadInput
 from pipeline.execute import check
 from pipeline.plan.accuracy import total_sigma
 from pipeline.plan.needs import NOTHING_SPENT
+from pipeline.route import finish
 from pipeline.route.prepare import plan_scene, prepare, summary_of
 from pipeline.route.run import Options, render
 from pipeline.spec.load import scene_yaml
@@ -178,6 +179,26 @@ def test_more_error_than_stated_is_told(small, tmp_path, monkeypatch):
     assert not report["errors"]["as_stated"]
     assert report["errors"]["achieved_error_sigma"] > 0.05
     assert "pixels were found to err by" in report["warnings"][0]
+
+
+@pytest.mark.parametrize("accept", [(), ("error",)])
+def test_stars_brighter_than_the_plan_knew_are_told_also_where_errors_are_accepted(
+    small, tmp_path, monkeypatch, accept
+):
+    """As if the bounds for the sources drawn were a thousand times those of the plan."""
+    real = finish.for_sources
+
+    def brighter(*given):
+        return [
+            replace(d, error_bound_sigma=d.error_bound_sigma and 1e3 * d.error_bound_sigma)
+            for d in real(*given)
+        ]
+
+    monkeypatch.setattr(finish, "for_sources", brighter)
+    report = render(small({"accept": list(accept)}), tmp_path / "run", Options("synchronous"))
+    assert report["errors"]["as_stated"] is bool(accept)
+    assert "the brightest source or the densest crowd drawn" in report["warnings"][0]
+    assert open_cube(tmp_path / "run").attrs["warnings"] == report["warnings"]
 
 
 # Where a bound is of a pixel's charge and is more than ten times what was found, and how much.
