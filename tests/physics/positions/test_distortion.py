@@ -73,6 +73,18 @@ def apart_px(camera: Camera, a: np.ndarray, b: np.ndarray) -> float:
     return float(np.max(separation(a, b))) / ifov_rad(camera)
 
 
+def slopes_by_steps(camera: Camera) -> np.ndarray:
+    """Slopes (2, 2) of a distortion at one place, which small steps from it confirm."""
+    slopes, step = camera.distortion.scale_matrices(np.array([100.0]), np.array([-300.0]))[0], 1e-3
+    for axis in (0, 1):
+        du, dv = step * np.eye(2)[axis]
+        ends = [camera.distortion.to_plane(np.array([100 + s * du]), np.array([-300 + s * dv]))
+                for s in (1, -1)]  # fmt: skip
+        numeric = (np.array(ends[0]) - ends[1])[:, 0] / (2 * step)
+        assert slopes[:, axis] == pytest.approx(numeric, abs=1e-8)
+    return slopes
+
+
 def test_against_astropy_sip() -> None:
     """The convention, its sign and its order, through all_pix2world and sip_pix2foc."""
     attitude, camera = look(30.0, 40.0, 0.7), distorted(SIP)
@@ -116,6 +128,7 @@ def test_against_astropy_tpv(term: int) -> None:
         u = deproject(camera, attitude, x, y)
         assert apart_px(camera, u, there) < 1e-8
         assert apart_px(camera, u, deproject(CAMERA, attitude, x, y)) > 1.0
+        slopes_by_steps(camera)
 
 
 def test_tpv_terms_are_the_registry_s() -> None:
@@ -324,14 +337,7 @@ def test_solid_angle_of_pixels(wish: dict) -> None:
     np.testing.assert_allclose(off_axis_cosine(camera, x, y), cosine, rtol=1e-12)
     corner = off_axis_cosine(CAMERA, np.array([-0.5]), np.array([-0.5]))
     assert corner[0] == pytest.approx(np.cos(corner_radius(CAMERA)), rel=1e-12)
-    slopes = camera.distortion.scale_matrices(np.array([100.0]), np.array([-300.0]))[0]
-    step = 1e-3
-    for axis in (0, 1):
-        du, dv = step * np.eye(2)[axis]
-        ends = [camera.distortion.to_plane(np.array([100 + s * du]), np.array([-300 + s * dv]))
-                for s in (1, -1)]  # fmt: skip
-        numeric = (np.array(ends[0]) - ends[1])[:, 0] / (2 * step)
-        assert slopes[:, axis] == pytest.approx(numeric, abs=1e-8)
+    slopes = slopes_by_steps(camera)
     assert camera.distortion.largest_stretch() >= np.linalg.norm(slopes, 2)
 
 

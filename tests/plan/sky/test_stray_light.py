@@ -48,7 +48,8 @@ def planned(scene, stray, changes):
     } | changes)  # fmt: skip
     response, band, digest = gather_response(s)
     facts = gather_facts(s, response, 0.0, 5.0, 1.0)
-    inputs = gather_sky(s, response, band, digest, (), None, False)
+    air = gather_extinction(s, response)
+    inputs = gather_sky(s, response, band, digest, (), None, False, extinction=air)
     geometry = plan_geometry(s, sampled_frames(s), 0.0)
     sky = plan_sky(s, camera_of(s), geometry, facts, inputs, 0.0)
     return s, facts, inputs, geometry, sky
@@ -328,7 +329,7 @@ def test_the_air_dims_the_lamps_of_a_site(scene, curve, hours):
             "atmosphere": {"extinction": {"mag_per_airmass": 0.4}}}  # fmt: skip
     wish = {"pst": {"kind": "table", "path": curve}, "sun": False, "earth": False}
     when = {"epoch": f"2019-04-20T{hours:02d}:00:00Z"}
-    s, _, inputs, g, _ = planned(scene, wish, {"observer": site} | at(180.0, 20.0) | when)
+    s, _, inputs, g, sky = planned(scene, wish, {"observer": site} | at(180.0, 20.0) | when)
     u, air = g.attitude[0, g.middle, 2][None], gather_extinction(s, gather_response(s)[0])
     args = s, s.background.stray_light, inputs.stray, g, 0, g.middle, u, 0.0
     assert g.middle > 0
@@ -340,6 +341,10 @@ def test_the_air_dims_the_lamps_of_a_site(scene, curve, hours):
     mass = 1.0 / (np.sin(np.radians(up)) + 0.50572 * (up + 6.07995) ** -1.6364)
     assert mass > 1.05
     assert share[0] == pytest.approx(10.0 ** (-0.4 * 0.4 * mass), rel=1e-3)
+    airless = {"observer": {name: site[name] for name in site if name != "atmosphere"}}
+    skies = sky, planned(scene, wish, airless | at(180.0, 20.0) | when)[-1]
+    dimmed, whole = (sky_tile(one, 0, Tile(0, 0, 0, 0, 256, 256)) for one in skies)
+    assert dimmed == pytest.approx(share[0] * whole, rel=1e-3)
 
 
 @pytest.mark.parametrize(
