@@ -30,15 +30,19 @@ class Remembered:
     def __call__(self, part1: ArrayLike, part2: ArrayLike) -> Array:
         """Values (n, ...) at the dates part1 + part2, (n,) or one for all."""
         one, two = np.broadcast_arrays(np.atleast_1d(part1), np.atleast_1d(part2))
-        if not 0 < one.size <= MOST:
+        if one.size > MOST:  # what is asked for twice is worked out once, here too
+            dates, places = np.unique(one + 1j * two, return_inverse=True)
+            few = dates.size <= MOST
+            return (self if few else self._function)(dates.real.copy(), dates.imag.copy())[places]
+        if not one.size:
             return self._function(one, two)
         moments = list(zip(one.tolist(), two.tolist(), strict=True))
         index, values = self._known
-        places = [index.get(moment, -1) for moment in moments]
-        if -1 in places:
+        found = [index.get(moment, -1) for moment in moments]
+        if -1 in found:
             index, values = self._learnt(moments)
-            places = [index[moment] for moment in moments]
-        return values[places]
+            found = [index[moment] for moment in moments]
+        return values[found]
 
     def _learnt(self, moments: Sequence[Moment]) -> tuple[dict[Moment, int], Array]:
         """What is known once these moments are too; the others go where there is no room."""

@@ -109,3 +109,21 @@ def test_earth_and_its_axes_are_those_of_erfa(again: bool) -> None:
     to_gcrs = np.swapaxes(era.c2i06a(at.tt1, at.tt2), -1, -2)
     place, _ = site_state(0.5, 1.0, 100.0, at, *pole)
     np.testing.assert_array_equal(place, np.einsum("nij,nj->ni", to_gcrs, pv["p"]))
+
+
+def test_of_more_moments_than_are_remembered_each_is_worked_out_once() -> None:
+    """A hundred moments a thousand times, and more different ones than there is room for."""
+    asked: list[int] = []
+
+    def function(part1: np.ndarray, part2: np.ndarray) -> np.ndarray:
+        asked.append(len(part1))
+        return np.stack([part1 + part2, part1 * part2], axis=-1)
+
+    known, rng = Remembered(function), np.random.default_rng(5)
+    few = rng.permutation(np.tile(rng.uniform(-0.5, 0.5, 100), 1000))
+    many = rng.uniform(-0.5, 0.5, remembered.MOST + 1)
+    for part2, new in ((few, [100]), (few, []), (many, [len(many)])):
+        asked.clear()
+        found = known(JD, part2)
+        assert asked == new
+        np.testing.assert_array_equal(found, function(np.full(len(part2), JD), part2))
