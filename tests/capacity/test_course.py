@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 from typing import Any
 
@@ -54,8 +55,11 @@ def rows_of(data: Data, folder: Path, least_snr: float | None = None) -> list[tu
 
 
 def test_none_of_the_least_probability_is_left_out(data: Data, tmp_path: Path) -> None:
-    """Many frames, of which one has to show an object: faint ones have a chance, too."""
+    """Many frames, of which one has to show an object: faint ones have a chance, too; whatever
+    other cameras there are."""
+    few = copy.deepcopy(data["cameras"][0]) | {"name": "few"}
     data["cameras"][0]["exposure"] |= {"frames": 12}
+    data["cameras"].insert(0, few)
     data["catalogue"]["synthetic"] |= {"objects": 150, "smallest_m": 0.05, "largest_m": 0.5}
     data |= {"duration_h": 3.0, "detection": {"least_probability": 0.4}}
     found = rows_of(data, tmp_path / "a")

@@ -47,6 +47,7 @@ def test_two_rules_measured_anew(tmp_path):
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     found = json.loads((tmp_path / "out" / "ledger.json").read_text())
+    assert json.loads(done.stdout) == found  # and nothing else
     assert [row["rule"] for row in found["rules"]] == ["adc", "targets.forces"]
     for row in found["rules"]:
         assert row["holds"]
@@ -257,3 +258,14 @@ def test_stars_alone_are_drawn_by_the_plan_of_stars_alone(monkeypatch):
     monkeypatch.setattr(sections, "stated", lambda *_: (0.0, "e-"))
     assert [f.error for f in sections.sections(SimpleNamespace(catalogue="none"))] == [0.0] * 3
     assert drawn == [("alone", ("stars",)), ("among", ("stars", "targets", "sky"))]
+
+
+def test_light_between_facets_is_set_against_that_of_all_their_outline(tmp_path, monkeypatch):
+    """Of a corner of two squares of 1 m2, in the plane across the line of sight."""
+    from pipeline.studies.ledger import meshes
+
+    monkeypatch.setattr(meshes, "_between", lambda *_: 0.125)
+    found, _ = meshes.between(SimpleNamespace(folder=tmp_path))
+    observer = unit(np.array([0.9, -0.2, 1.0]))
+    outline_m2 = observer[0] + observer[2]
+    assert found.error == pytest.approx(0.125 / (meshes.ALBEDO * outline_m2 / np.pi), rel=1e-9)
