@@ -60,6 +60,7 @@ def test_none_of_the_least_probability_is_left_out(data: Data, tmp_path: Path) -
     few = copy.deepcopy(data["cameras"][0]) | {"name": "few"}
     data["cameras"][0]["exposure"] |= {"frames": 12}
     data["cameras"].insert(0, few)
+    data["sensors"] = [one | {"camera": data["cameras"][1]["name"]} for one in data["sensors"]]
     data["catalogue"]["synthetic"] |= {"objects": 150, "smallest_m": 0.05, "largest_m": 0.5}
     data |= {"duration_h": 3.0, "detection": {"least_probability": 0.4}}
     found = rows_of(data, tmp_path / "a")
