@@ -49,8 +49,8 @@ def judge(labels: Labels, sought: NDArray[np.bool_], found: Detections) -> Detec
     """Match detections with the sources sought, one to one, brightest detections first.
 
     A point matches within NEAR_PX of the centroid of a source's light, a streak within NEAR_PX
-    across and ALONG times its length along. Other detections are explained if any source's path
-    of SEEN_SNR or more passes within NEAR_PX.
+    across and ALONG times its length along; of several sources the one of most signal-to-noise.
+    Other detections are explained if any source's path of SEEN_SNR or more passes within NEAR_PX.
     """
     which = np.zeros(len(labels), bool)
     right = np.zeros(len(found), bool)
@@ -67,7 +67,8 @@ def judge(labels: Labels, sought: NDArray[np.bool_], found: Detections) -> Detec
                 np.abs(along) < np.maximum(NEAR_PX, ALONG * labels.length_px[near])
             )
             if fits.any():
-                best = near[fits][np.argmin(np.hypot(along[fits], across[fits]))]
+                gap = np.hypot(along[fits], across[fits])
+                best = near[fits][np.lexsort((gap, -labels.snr[near[fits]]))[0]]
                 which[best], right[i] = True, True
     return DetectionVerdict(which, right, _explained(labels, found))
 

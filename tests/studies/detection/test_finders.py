@@ -130,6 +130,13 @@ def test_the_brightest_detection_stands_for_a_source():
     assert both.found.all()
 
 
+def test_a_detection_is_of_the_brightest_source_in_reach():
+    """A faint star may be nearer by chance; of two alike the nearer one is taken."""
+    told = labels([(STAR, 50, 50, 9, 0, 700), (STAR, 53, 51, 9, 0, 40), (STAR, 56, 51, 9, 0, 700)])
+    for at, found in (((53, 50.5), [1, 0, 0]), ((53.5, 50.5), [0, 0, 1])):
+        assert judge(told, np.ones(3, bool), found_at(at)).found.tolist() == found
+
+
 @pytest.mark.parametrize("angle", [0.0, 30.0, 75.0, 120.0, 160.0])
 def test_judge_measures_along_and_across_a_streak(angle):
     """Half a length of 40 px: a detection 20 px along it is its own, one 4 px beside it is not."""
