@@ -101,15 +101,25 @@ def _explained(labels: Labels, found: Detections) -> NDArray[np.bool_]:
             (labels.y_start_px, labels.y_end_px),
         )
     )
-    tree = cKDTree(np.stack([x, y], axis=-1))
     places = np.stack([found.x_px, found.y_px], axis=-1)
-    near = tree.query_ball_point(places, float(far.max()))
     out = np.zeros(len(found), bool)
-    for k, members in enumerate(near):
-        if members:
-            gap = np.hypot(*(tree.data[members] - places[k]).T)
-            out[k] = bool((gap < far[members]).any())
+    size = np.floor(np.log2(far))
+    for one in np.unique(size):
+        alike = size == one
+        out |= _within(np.stack([x, y], axis=-1)[alike], far[alike], places)
     return out
+
+
+def _within(discs: Array, radii: Array, places: Array) -> NDArray[np.bool_]:
+    """Whether each place lies in one of the discs, by the nearest neighbour alone.
+
+    A disc stands so high over the plane that the sphere of the largest radius cuts it out there.
+    """
+    most = float(radii.max())
+    height = np.sqrt(most**2 - radii**2)
+    tree = cKDTree(np.column_stack([discs, height]))
+    gap, _ = tree.query(np.column_stack([places, np.zeros(len(places))]))
+    return np.asarray(gap < most)
 
 
 def by_magnitude(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
+import tracemalloc
 from dataclasses import fields, replace
 
 import numpy as np
@@ -262,6 +263,26 @@ def test_wings_of_bright_sources_explain_detections_farther_out():
                 if off is not None:
                     at = found_at((x + off * way[0], y + off * way[1]))
                     assert judge(told, nothing, at).explained[0] == explained, (snr, off)
+
+
+def test_one_bright_star_does_not_fill_the_memory_of_a_crowd():
+    """Its wings reach 56 px; some 300 MB where every trail is searched so far around."""
+    rng = np.random.default_rng(4)
+    n = 2000
+    x, y = rng.uniform(0, 600, (2, n))
+    snr = np.append(5e4, np.full(n - 1, 10.0))
+    told = labels(np.stack([np.full(n, STAR), x, y, 40 + 0 * x, 30 + 0 * x, snr], axis=-1))
+    at = found_at(*rng.uniform(0, 600, (500, 2)))
+    tracemalloc.start()
+    explained = judge(told, np.zeros(n, bool), at).explained
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 60e6
+    t = np.linspace(-1, 1, 101)
+    for k in range(0, 500, 50):
+        gap = np.hypot(x[:, None] + 40 * t - at.x_px[k], y[:, None] + 30 * t - at.y_px[k])
+        reach = 2.5 * np.sqrt(np.maximum(1.0, snr / 100))
+        assert explained[k] == (gap.min(axis=1) < reach).any()
 
 
 def test_bins_of_magnitude_and_their_sum():
