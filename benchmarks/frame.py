@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import platform
-import resource
 import subprocess
 import sys
 import tempfile
@@ -22,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from catalog_tools.engine.heap import few_collections, one_heap
+from catalog_tools.engine.heap import few_collections, one_heap, peak_mb
 
 STARS, SHAPE, STREAK_PX = 100_000, 2048, 60.0
 RA_DEG, DEC_DEG, IFOV_ARCSEC = 80.0, 20.0, 2.0
@@ -116,10 +115,9 @@ def measure(
     cold_s, _ = timed(catalogue, 1, psf, streak_px)
     warm, five = median_of(1), median_of(5)
     next_s, next_cpu_s = (five - warm) / 4.0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     return {
         "case": name, "cold_s": cold_s, "warm_s": float(warm[0]), "next_frame_s": float(next_s),
-        "next_frame_cpu_s": float(next_cpu_s), "peak_mb": peak,
+        "next_frame_cpu_s": float(next_cpu_s), "peak_mb": peak_mb(),
     }  # fmt: skip
 
 

@@ -27,6 +27,8 @@ from typing import Any
 
 import psutil
 
+from catalog_tools.engine.heap import peak_mb
+
 IDLE_S = 10.0
 SKY = {
     "schema": "nightglass/scene/1", "name": "load", "epoch": "2019-07-20T09:00:00Z",
@@ -187,9 +189,9 @@ def scale(scheduler: str, tiles: int) -> dict[str, Any]:
         draw(prepared, begun, wrapped, lambda p: done.__setitem__(0, p.done))
         cpu_s = time.process_time() - cpu_s
         its_s = sum(psutil.Process(its_process).cpu_times()[:2]) if its_process else 0.0
-        scheduler_mb = _peak_mb(its_process) if its_process else None
+        scheduler_mb = peak_mb(its_process) if its_process else None
     return {
-        "scheduler": scheduler, "tiles": done[0], "peak_mb": _peak_mb(),
+        "scheduler": scheduler, "tiles": done[0], "peak_mb": peak_mb(),
         "scheduler_peak_mb": scheduler_mb,  # none: it runs in this process
         "us_a_tile": 1e6 * (time.perf_counter() - started) / done[0],
         "cpu_us_a_tile": 1e6 * cpu_s / done[0],  # of this process
@@ -217,13 +219,6 @@ def model(tiles: int, frames: int) -> dict[str, Any]:
         "efficiency": {n: rate * tile_s / n for n, rate in most.items()},
         "all_at_work_from_tile_s": {n: n * served_s for n in most},
     }  # fmt: skip
-
-
-def _peak_mb(process: int | str = "self") -> float:
-    """Most memory of a process since its program began (getrusage counts its parent's too)."""
-    status = Path(f"/proc/{process}/status").read_text()
-    line = next(one for one in status.splitlines() if one.startswith("VmHWM"))
-    return float(line.split()[1]) / 1024.0
 
 
 def main() -> None:

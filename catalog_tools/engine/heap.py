@@ -5,9 +5,11 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import resource
 import sys
 from contextlib import suppress
 from functools import cache
+from pathlib import Path
 
 # Thresholds are what glibc comes to by itself; Dask's 64 KiB cost a worker eight times the page
 # faults. One heap, with Arrow's arrays in it, takes a third less than one for each thread.
@@ -41,3 +43,15 @@ def one_heap() -> None:
     if "MALLOC_ARENA_MAX" not in os.environ:
         with suppress(OSError, AttributeError):
             ctypes.CDLL(None).mallopt(ARENA_MAX, int(ALLOCATION["MALLOC_ARENA_MAX"]))
+
+
+def peak_mb(process: int | str = "self") -> float:
+    """Most memory that a process has held since its program began [MB], as Linux tells it.
+
+    (`ru_maxrss` of this process, used elsewhere, may be that of the one that started it.)
+    """
+    status = Path(f"/proc/{process}/status")
+    told = status.read_text().partition("VmHWM:")[2] if status.is_file() else ""
+    if not told:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return int(told.split()[0]) / 1024.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import resource
 import time
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -13,6 +12,7 @@ import numpy as np
 
 from catalog_tools.documents import JsonObject
 from catalog_tools.engine.code import own_version
+from catalog_tools.engine.heap import peak_mb
 from pipeline.execute.check import summary
 from pipeline.execute.coordinates import frame_coordinates
 from pipeline.export.picture import write_preview
@@ -201,7 +201,6 @@ def _report(
     errors: JsonObject,
     digest: str,
 ) -> JsonObject:
-    usage = resource.getrusage(resource.RUSAGE_SELF)
     return {
         "scene": plan.scene.name,
         "warnings": list(plan.warnings),
@@ -219,7 +218,7 @@ def _report(
         "errors": errors,
         **_empty_noise(plan),
         "remarks": list(plan.remarks),
-        "memory": {"peak_driver_mb": usage.ru_maxrss / 1024.0},
+        "memory": {"peak_driver_mb": peak_mb()},
         "versions": {"nightglass": own_version()} | {n: version(n) for n in LIBRARIES},
     }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import shutil
 import time
 from collections.abc import Iterable, Sequence
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from catalog_tools.documents import JsonObject
+from catalog_tools.engine.heap import peak_mb
 from pipeline.arrays import Array
 from pipeline.execute.blocks import around
 from pipeline.execute.sources import excursion_px, place_targets
@@ -71,17 +71,6 @@ def render_once(scene: JsonObject, part: Sequence[int], product: Path) -> tuple[
     spent = time.process_time() - cpu, time.perf_counter() - wall
     shutil.rmtree(product)
     return spent
-
-
-def peak_mb() -> float:
-    """Most memory that this process has held [MB]: the high-water mark of its own, from Linux.
-
-    (`ru_maxrss` of a process may be that of the one it was forked from.)
-    """
-    status = Path("/proc/self/status")
-    if not status.is_file():
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0
 
 
 def errors_against(stage: Stage, light: Light, exact: Exact) -> JsonObject:

@@ -9,6 +9,8 @@ import sys
 
 import pytest
 
+from catalog_tools.engine.heap import peak_mb
+
 COUNTED = """
 import ctypes, sys, threading
 {before}
@@ -51,3 +53,15 @@ def test_threads_share_one_heap(tmp_path, before):
     assert int(heaps) <= 2  # a library's own thread may have begun one before
     assert pool == "system"
     assert int(told("one", MALLOC_ARENA_MAX="8")[0]) >= 4  # as the environment says
+
+
+@pytest.mark.skipif(platform.system() != "Linux", reason="others tell that of the starter, too")
+def test_the_peak_of_a_process_is_not_that_of_its_starter():
+    told = "from catalog_tools.engine.heap import peak_mb; print(peak_mb())"
+    large = bytearray(600_000_000)
+    done = subprocess.run(
+        [sys.executable, "-c", told], capture_output=True, text=True, check=True
+    )
+    assert 1.0 < float(done.stdout) < 300.0 < peak_mb()
+    assert peak_mb(os.getppid()) > 0.0
+    del large
