@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from catalog_tools.errors import (
@@ -30,6 +31,7 @@ __all__ = [
     "TryLater",
     "check_new",
     "exit_code",
+    "make_folder",
     "shorten",
     "why_broken",
 ]
@@ -45,6 +47,17 @@ def check_new(output: Path, empty: bool = False) -> None:
         raise BadInput("-o", str(output), "a path that does not exist yet")
     if file := next((p for p in output.parents if p.is_file()), None):
         raise BadInput("-o", str(output), f"a path in a folder; {file} is a file")
+
+
+def make_folder(output: Path) -> None:
+    """Make the folder that is written (`-o`); BadInput where it is none that can be written to."""
+    allowed = "a folder that can be made and written to"
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError, PermissionError):
+        raise BadInput("-o", str(output), allowed) from None
+    if not os.access(output, os.W_OK):
+        raise BadInput("-o", str(output), allowed)
 
 
 NOT_NOW = (0, 429, 503)  # statuses of a server that may answer later

@@ -210,3 +210,6 @@ def test_what_is_no_number_passes_no_case(room, work, named, tmp_path, monkeypat
     outcome = run_case(getattr(room, named), tmp_path)
     assert not outcome.fault
     assert not outcome.passed
+    for page in (tmp_path / "missing" / "page.md", tmp_path):
+        with pytest.raises(BadInput, match=r"--markdown: .*allowed: a file in a folder that exi"):
+            command.selftest(None, page, False)

@@ -20,7 +20,7 @@ def selftest(
 ) -> None:
     """Limiting cases against answers known from elsewhere. Exit 1 where one fails."""
     cases = chosen(only)
-    if page is not None and not page.parent.is_dir():
+    if page is not None and (page.is_dir() or not page.parent.is_dir()):
         raise BadInput("--markdown", str(page), "a file in a folder that exists")
     with stage_progress(is_quiet(as_json)) as listen:
         outcomes = run_cases(cases, listen)

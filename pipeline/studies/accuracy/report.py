@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, make_folder
 from pipeline.lazily import need_matplotlib
 from pipeline.studies.accuracy.figure import draw_figure
 from pipeline.studies.accuracy.study import Progress, run_study
@@ -42,8 +42,8 @@ def report_accuracy(
     need_matplotlib()
     if quick:
         stars, frame = min(stars, QUICK_STARS), (QUICK_PX, QUICK_PX)
+    make_folder(out)
     study = run_study(stars, frame, quick, peers, satsim_python, progress)
-    out.mkdir(parents=True, exist_ok=True)
     (out / "accuracy.json").write_text(json.dumps(study, indent=1, allow_nan=False) + "\n")
     (out / "accuracy.md").write_text(markdown(study))
     draw_figure(study, out / "accuracy.png")

@@ -12,7 +12,7 @@ import numpy as np
 
 from catalog_tools.documents import JsonObject
 from catalog_tools.engine.ahead import ahead, cores, threads
-from pipeline.errors import BadInput, Missing
+from pipeline.errors import BadInput, Missing, make_folder
 from pipeline.export.labels import TARGET, Labels, frame_labels
 from pipeline.store.cube import open_raw_cube, read_layer
 from pipeline.studies.detection.finders import tasks
@@ -45,6 +45,7 @@ def report_detection(
     count = int(cube.sizes["frame"]) if frames is None else min(frames, int(cube.sizes["frame"]))
     if count < 1:
         raise BadInput("--frames", frames, "1 or more")
+    make_folder(out)
     shape = int(cube.sizes["y"]), int(cube.sizes["x"])
     told: list[JsonObject] = []
     shown: dict[str, object] = {}
@@ -154,7 +155,6 @@ def _targets(told: list[JsonObject]) -> list[JsonObject]:
 def _write(study: JsonObject, shown: JsonObject, out: Path) -> None:
     from pipeline.studies.detection.figure import draw_figure
 
-    out.mkdir(parents=True, exist_ok=True)
     (out / "detection.json").write_text(json.dumps(study, indent=1, allow_nan=False) + "\n")
     (out / "detection.md").write_text(markdown(study))
     draw_figure(study, shown, out / "detection.png")

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
-from pipeline.errors import BadInput, Missing
+from pipeline.errors import BadInput, Missing, make_folder
 from pipeline.lines import markdown_table, table
 from pipeline.studies.ledger.study import Progress, checked_rules, run_ledger
 
@@ -26,8 +26,8 @@ def report_ledger(out: Path, rules: tuple[str, ...] = (), progress: Progress | N
         raise BadInput("-o", str(out), "a new or empty folder")
     if find_spec("trimesh") is None:
         raise Missing("the ledger's meshes", "trimesh", "mesh")
+    make_folder(out)
     study = run_ledger(rules, progress)
-    out.mkdir(parents=True, exist_ok=True)
     (out / "ledger.json").write_text(json.dumps(study, indent=1, allow_nan=False) + "\n")
     (out / "ledger.md").write_text(text(study), encoding="utf-8")
     return study

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, make_folder
 from pipeline.inputs.stars.catalogues import open_catalogues
 from pipeline.lazily import need_matplotlib
 from pipeline.lines import markdown_table
@@ -44,9 +44,9 @@ def report_scenes(
     need_matplotlib()
     if catalogue is not None:
         open_catalogues((str(catalogue),))
+    make_folder(out)
     with tempfile.TemporaryDirectory(prefix="nightglass-report-") as folder:
         study = run_study(scenes, chosen, quick, catalogue, Path(folder), progress)
-    out.mkdir(parents=True, exist_ok=True)
     write(study, out)
     return study
 

@@ -164,6 +164,13 @@ def test_limits_of_the_work(kwargs: dict[str, Any], tmp_path: Path) -> None:
     assert not any(tmp_path.iterdir())
 
 
+def test_a_folder_that_cannot_be_made_is_refused_before_any_work(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file", tmp_path / "file" / "in"):
+        with pytest.raises(BadInput, match=r"-o: .*allowed: a folder that can be made and written"):
+            report_accuracy(out, progress=lambda *_: pytest.fail("a case was measured"))
+
+
 @pytest.mark.parametrize("frame", [(256, 384), (400, 256)])
 @pytest.mark.parametrize("curved", [False, True])
 def test_probes_of_an_exact_image_of_an_oblong_frame_find_no_error(

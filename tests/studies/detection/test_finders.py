@@ -230,10 +230,12 @@ def test_crowds_are_judged_in_seconds():
 
 def test_limits_refused(product, tmp_path):
     calibrate(product, tmp_path / "calibrated")
+    (tmp_path / "file").touch()
     for arguments, field in (
         ((product, tmp_path, 0.5), "--threshold"), ((product, tmp_path, math.nan), "--threshold"),
         ((product, tmp_path, 5.0, 0), "--frames"), ((tmp_path / "no", tmp_path), "PRODUCT"),
-        ((tmp_path / "calibrated", tmp_path), "PRODUCT"),
+        ((tmp_path / "calibrated", tmp_path), "PRODUCT"), ((product, tmp_path / "file"), "-o"),
+        ((product, tmp_path / "file" / "in"), "-o"),
     ):  # fmt: skip
         with pytest.raises(BadInput) as caught:
             report_detection(*arguments)

@@ -224,6 +224,8 @@ def test_mistakes(tmp_path):
     (tmp_path / "old.txt").write_text("kept")
     with pytest.raises(BadInput, match="new or empty"):
         report_ledger(tmp_path)
+    with pytest.raises(BadInput, match="a folder that can be made"):
+        report_ledger(tmp_path / "old.txt" / "in", progress=lambda *_: pytest.fail("measured"))
 
 
 @pytest.mark.parametrize("depth_m", [-6e4, 2e4, 9e4])

@@ -216,6 +216,9 @@ def test_a_folder_that_is_not_empty_is_refused(tmp_path):
         report_scenes(tmp_path, quick=True)
     with pytest.raises(BadInput, match="new or empty"):
         report_scenes(tmp_path / "old.txt", quick=True)
+    with pytest.raises(BadInput, match="a folder that can be made"):
+        report_scenes(tmp_path / "old.txt" / "in", quick=True,
+                      progress=lambda *_: pytest.fail("measured"))  # fmt: skip
 
 
 def test_the_catalogue_is_deep_where_the_usual_scenes_look(monkeypatch, tmp_path) -> None:
