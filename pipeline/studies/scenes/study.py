@@ -80,7 +80,7 @@ def run_study(
         for k, level in enumerate(levels):
             say(request.name, k + 1, len(levels) + 1)
             asked = {"noise_fraction": level, "flux_fraction": FLUX_OF_NOISE * level}
-            rows.append(asked | run_child(_level_order(request, level, stars, folder)))
+            rows.append(asked | run_child(_level_order(request, k, level, stars, folder)))
         say(request.name, len(levels) + 1, len(levels) + 1)
         told.append(_told(request, found, rows))
     return {
@@ -110,8 +110,10 @@ def _reference_order(
     }
 
 
-def _level_order(request: ReportScene, level: float, stars: str, folder: Path) -> JsonObject:
-    work = folder / f"{request.name}-{level:g}"
+def _level_order(
+    request: ReportScene, number: int, level: float, stars: str, folder: Path
+) -> JsonObject:
+    work = folder / f"{request.name}-{number}"
     work.mkdir()
     return {
         "work": "level",

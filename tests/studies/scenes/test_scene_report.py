@@ -221,6 +221,19 @@ def test_a_folder_that_is_not_empty_is_refused(tmp_path):
                       progress=lambda *_: pytest.fail("measured"))  # fmt: skip
 
 
+def test_levels_that_are_nearly_one_have_folders_of_their_own(monkeypatch, tmp_path) -> None:
+    folders = []
+
+    def measured(order):
+        folders.append(order["folder"])
+        return {"stars": 0, "targets": 0, "windows": 0, "sources": 0, "switches": []}
+
+    monkeypatch.setattr(study, "run_child", measured)
+    levels = study.checked_levels("0.1234567,0.1234568", True)
+    study.run_study(("earth-limb",), levels, True, tmp_path, tmp_path)
+    assert len(set(folders)) == 3
+
+
 def test_the_catalogue_is_deep_where_the_usual_scenes_look(monkeypatch, tmp_path) -> None:
     """Whether they were named or not."""
     asked = []
