@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -27,6 +28,8 @@ def worker(
     """Draw for a scheduler, with the certificates of the environment. Exit 4 when it goes away."""
     check_address(address)
     set_up_dask()
+    if not 0.0 <= patience < math.inf:
+        raise BadInput("--patience", patience, "seconds, 0 or more")
     if memory != "auto":
         _check_memory(memory)
     asyncio.run(
@@ -48,5 +51,5 @@ def _check_memory(memory: str) -> None:
 
     try:
         parse_bytes(memory)
-    except ValueError:
+    except (ValueError, OverflowError):
         raise BadInput("--memory", memory, "such as 2GiB, or auto") from None

@@ -43,8 +43,11 @@ def test_a_scheduler_that_does_not_answer(scene_file, tmp_path, closed_port):
     assert (ran.returncode, address in ran.stderr) == (4, True)
     ran = nightglass("worker", "tcp://10.1.2.3:8786")
     assert ran.returncode == 2
-    ran = nightglass("worker", address, "--memory", "foo")
-    assert (ran.returncode, "--memory: 'foo' is not accepted" in ran.stderr) == (2, True)
+    for option, value in (("--memory", "'foo'"), ("--memory", "'1e400GiB'"), ("--patience", "nan"),
+                          ("--patience", "inf"), ("--patience", "-1.0")):  # fmt: skip
+        ran = nightglass("worker", address, option, value.strip("'"))
+        said = f"{option}: {value} is not accepted" in ran.stderr
+        assert (ran.returncode, said) == (2, True), ran.stderr
 
 
 @pytest.mark.parametrize(
