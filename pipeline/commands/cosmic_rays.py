@@ -75,6 +75,8 @@ def compare(
     """Draw a library beside the generator (PNG or SVG): size, charge, charge per length, rate."""
     check_ending(output, [".png", ".svg"])
     events = read_library(library, "LIBRARY")
+    if not len(events):
+        raise BadInput("LIBRARY", str(library), "a library with events; it has none")
     own = events.pixel_pitch_um
     pitch = pixel_pitch_um if own is None else own
     if pitch is None or not 0.05 <= pitch <= 1000:

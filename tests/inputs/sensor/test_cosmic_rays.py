@@ -351,6 +351,16 @@ def test_a_library_without_a_long_event_is_compared(tmp_path):
     assert "a path that does not exist yet" in done.stderr
 
 
+def test_a_library_without_events_is_refused(tmp_path):
+    path = table(tmp_path)
+    with fits.open(path, mode="update") as file:
+        file["COSMIC_RAYS"].data = file["COSMIC_RAYS"].data[:0]
+    done = nightglass("cosmic-rays", "compare", path, "--pixel-pitch-um", "10", "-o",
+                      tmp_path / "no.png")  # fmt: skip
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert done.stderr.endswith("allowed: a library with events; it has none\n")
+
+
 def test_frames_are_counted_at_a_terminal(darks, tmp_path, monkeypatch):
     """One line that is written over, and ends with the last frame; none in a file."""
     command = ["cosmic-rays", "extract", *darks, "--exposure-s", "60", "--pixel-pitch-um", "10"]
