@@ -39,7 +39,7 @@ def rows(study: Row) -> list[tuple[str, ...]]:
         (
             one["component"],
             f"{one['bound']:.2g} {one['unit']}",
-            f"{one['error']:.2g} {one['unit']}",
+            "-" if one["error"] is None else f"{one['error']:.2g} {one['unit']}",
             f"{one['seconds_saved']:.1g}",
             "yes" if one["holds"] else "NO",
             one["how"],

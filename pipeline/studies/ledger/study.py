@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import platform
 import tempfile
@@ -87,7 +88,7 @@ def told(f: ProbeResult) -> Row:
         "component": f.component,
         "how": f.how,
         "bound": float(f.bound),
-        "error": float(f.error),
+        "error": float(f.error) if math.isfinite(f.error) else None,
         "unit": f.unit,
         "seconds_saved": f.seconds_in - f.seconds_out,
         "holds": f.holds,

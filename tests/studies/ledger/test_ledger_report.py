@@ -228,6 +228,16 @@ def test_mistakes(tmp_path):
         report_ledger(tmp_path / "old.txt" / "in", progress=lambda *_: pytest.fail("measured"))
 
 
+def test_an_error_without_end_is_written_as_none(monkeypatch, tmp_path):
+    """It does not hold; the other rules are not lost by it."""
+    found = ProbeResult("adc", "", 1.0, float("inf"), "px", 0.0, 0.0)
+    monkeypatch.setitem(PROBES, "adc", [lambda _: [found]])
+    report_ledger(tmp_path / "out", ("adc",))
+    (row,) = json.loads((tmp_path / "out" / "ledger.json").read_text())["rules"]
+    assert (row["error"], row["holds"]) == (None, False)
+    assert "| - | 0 | NO |" in (tmp_path / "out" / "ledger.md").read_text()
+
+
 @pytest.mark.parametrize("depth_m", [-6e4, 2e4, 9e4])
 def test_the_raster_of_the_sun_is_darker_at_its_limb(depth_m):
     """A seventh of the raster's lines: as the share worked out by arcs, to what so few can tell."""
