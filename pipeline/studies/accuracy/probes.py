@@ -43,13 +43,13 @@ class Probes:
     side_px: int
     boxed: Array
 
-    def errors(self, k: int, image: NDArray[np.floating]) -> tuple[float, float]:
-        """(largest error of a pixel over the peak, error of the light) of probe k in an image."""
+    def errors(self, k: int, image: NDArray[np.floating]) -> tuple[float, float | None]:
+        """(largest error of a pixel over the peak, of the light or None at edges) of probe k."""
         worst = worst_of(
             *(np.abs(image[np.ix_(w.rows, w.columns)] - w.exact).max() for w in self.windows[k])
         )
         if np.isnan(self.boxed[k]):
-            return worst / self.peak, 0.0
+            return worst / self.peak, None
         y0, x0 = self._corner(k)
         light = float(np.sum(image[y0 : y0 + self.side_px, x0 : x0 + self.side_px], dtype=float))
         return worst / self.peak, abs(light - float(self.boxed[k]))

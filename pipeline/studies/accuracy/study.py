@@ -15,6 +15,7 @@ from pipeline.studies.accuracy.external import External, PeerFailed
 from pipeline.studies.accuracy.peers import external_settings, installed_peers, peer_settings
 from pipeline.studies.accuracy.probes import Probes, make_probes, probe_count
 from pipeline.studies.accuracy.reference import AiryStar, GaussianStar, curved, straight
+from pipeline.studies.worst import worst_of
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -49,7 +50,8 @@ class Record:
     cpu_s : of drawing all stars once, without table_s, which is spent once for many frames
     error_of_peak : largest error of a pixel over the brightest pixel of a centred star
     error_sigma : that, for a star of STAR_E over noise of FLOOR_E in a pixel
-    flux_error : largest error of a star's light in a square about it, over its light
+    flux_error : largest error of a star's light in a square about it, over its light; None where
+    no such square lies in the frame
     pareto : no other of this case is both quicker and more exact
     """
 
@@ -67,7 +69,7 @@ class Record:
     table_bytes: int | None
     error_of_peak: float
     error_sigma: float
-    flux_error: float
+    flux_error: float | None
     pareto: bool = False
 
 
@@ -203,14 +205,15 @@ def _record(
     setting: str,
     ours: bool,
     probes: Probes,
-    errors: list[tuple[float, float]],
+    errors: list[tuple[float, float | None]],
     stars: int,
     timed: int,
     cpu_s: float,
     table_s: float,
     table_bytes: int | None,
 ) -> Record:
-    pixel, light = (max(column) for column in zip(*errors, strict=True))
+    pixel = worst_of(*(one for one, _ in errors))
+    lights = [light for _, light in errors if light is not None]
     return Record(
         engine,
         setting,
@@ -226,7 +229,7 @@ def _record(
         table_bytes,
         pixel,
         pixel * probes.peak * STAR_E / FLOOR_E,
-        light,
+        worst_of(*lights) if lights else None,
     )
 
 

@@ -42,7 +42,7 @@ def cells(row: Row) -> tuple[str, ...]:
         f"{row['table_s']:.2g}",
         f"{row['error_of_peak']:.1e}",
         f"{row['error_sigma']:.1e}",
-        f"{row['flux_error']:.1e}",
+        "-" if row["flux_error"] is None else f"{row['flux_error']:.1e}",
     )
 
 

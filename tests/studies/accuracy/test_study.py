@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -28,6 +28,7 @@ from pipeline.studies.accuracy.reference import (
 )
 from pipeline.studies.accuracy.report import report_accuracy
 from pipeline.studies.accuracy.study import SHAPES, Record, _record, with_pareto
+from pipeline.studies.accuracy.tables import cells
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 
@@ -139,6 +140,22 @@ def test_time_of_fewer_stars_stands_for_all() -> None:
     assert (made.cpu_s, made.cpu_s_per_star, made.table_s) == (20.0, 0.2, 0.5)
 
 
+def test_light_that_is_added_up_nowhere_has_no_error() -> None:
+    """A streak of 300 px in a frame of 256: no square about it lies in the frame."""
+    track = straight(300.0, 0.6435)
+    probes = make_probes(EngineCase(SHAPES[0], track, 300.0, (256, 256)), 2)
+    errors = [probes.errors(k, np.zeros((256, 256))) for k in range(probes.x_px.size)]
+    made = _record(EngineCase(SHAPES[0], track, 300.0, (256, 256)), "peer", "", False, probes,
+                   errors, 1, 1, 1.0, 0.0, None)  # fmt: skip
+    assert made.flux_error is None
+    assert cells(asdict(made))[-1] == "-"
+    case = EngineCase(SHAPES[0], straight(0.0, 0.0), 0.0, (256, 256))
+    both = [(1e-3, 1e-4), (float("nan"), None), (1e-3, 2e-4)]
+    made = _record(case, "peer", "", False, probes, both, 1, 1, 1.0, 0.0, None)
+    assert np.isnan(made.error_of_peak)
+    assert made.flux_error == 2e-4
+
+
 def test_a_slow_peer_is_timed_with_fewer_stars(monkeypatch: pytest.MonkeyPatch) -> None:
     """0.05 s a star: in 2 s some 40 of 100, from which the time of all is reckoned."""
     case = EngineCase(SHAPES[0], straight(0.0, 0.0), 0.0, (256, 256))
@@ -191,7 +208,9 @@ def test_probes_of_an_exact_image_of_an_oblong_frame_find_no_error(
         assert -2.0 < x < frame[1] + 1.0
         assert -2.0 < y < frame[0] + 1.0
         image = exact_pixels(case.shape, track, x, y, columns, rows)
-        assert max(probes.errors(k, image)) < 1e-9
+        pixel, light = probes.errors(k, image)
+        assert max(pixel, light or 0.0) < 1e-9
+        assert (light is None) == (k >= 3)
         assert probes.errors(k, 0.5 * image)[0] > 0.1
         assert probes.errors(k, np.roll(image, 1, axis=1))[0] > 0.1
         if k < 3:
