@@ -142,6 +142,14 @@ def test_kubernetes_network_is_closed_but_for_what_is_named():
     assert sorted(who["values"]) == ["api", "worker"]
 
 
+def test_every_pod_may_be_evicted():
+    """One that must stay where there is one alone keeps its node from being drained."""
+    budgets = [d["spec"] for p in MANIFESTS for d in documents(p)
+               if d["kind"] == "PodDisruptionBudget"]  # fmt: skip
+    assert [b.get("maxUnavailable") for b in budgets] == [1]
+    assert not any("minAvailable" in b for b in budgets)
+
+
 @pytest.mark.parametrize("folder", [BASE, *OVERLAYS], ids=lambda p: p.name)
 def test_kustomizations(folder):
     """Every file is named once and every patch has its target; kubectl builds it where it is."""
