@@ -183,8 +183,9 @@ def test_a_page_that_cannot_be_written_is_refused_before_any_case_runs(tmp_path,
         pytest.fail("a case ran")
 
     monkeypatch.setattr(command, "run_cases", run_none)
-    with pytest.raises(BadInput, match=r"--markdown: .*allowed: a file in a folder that exists"):
-        command.selftest(None, tmp_path / "missing" / "page.md", False)
+    for page in (tmp_path / "missing" / "page.md", tmp_path):
+        with pytest.raises(BadInput, match=r"--markdown: .*allowed: a file in a folder that exi"):
+            command.selftest(None, page, False)
 
 
 @pytest.mark.parametrize(
@@ -210,6 +211,3 @@ def test_what_is_no_number_passes_no_case(room, work, named, tmp_path, monkeypat
     outcome = run_case(getattr(room, named), tmp_path)
     assert not outcome.fault
     assert not outcome.passed
-    for page in (tmp_path / "missing" / "page.md", tmp_path):
-        with pytest.raises(BadInput, match=r"--markdown: .*allowed: a file in a folder that exi"):
-            command.selftest(None, page, False)
