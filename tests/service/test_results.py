@@ -19,7 +19,7 @@ from astropy.io import fits
 from PIL import Image
 from starlette.requests import Request
 
-from pipeline.errors import Damaged
+from pipeline.errors import BadInput, Damaged
 from pipeline.export.formats import ExportRequest, export_product
 from pipeline.route.shares import parse_part
 from pipeline.spec.load import parse_scene
@@ -210,6 +210,23 @@ def test_oblong_tiles_are_those_of_their_row_and_column(tmp_path: Path) -> None:
     for outside in ((2, 0, 0), (0, 2, 0), (0, 0, 4), (0, -1, 0)):
         with pytest.raises(NotThere):
             tile_values(tmp_path, *outside)
+
+
+def test_a_tile_is_shown_where_binning_leaves_few_enough_pixels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 8 x 8 pixels 16 at most: by a factor of 2 on both axes; and of 16 x 16 none is read."""
+    monkeypatch.setattr("service.products.pixels.MAX_PIXELS", 16)
+    monkeypatch.setattr("service.products.pixels.MAX_READ", 64)
+    for name, side in (("a", 8), ("b", 16)):
+        dn = np.ones((1, side, side), np.uint16)
+        store = tmp_path / name / "cube.zarr" / "dn"
+        zarr.create_array(store=store, data=dn, chunks=(1, side, side))
+        (tmp_path / name / "_COMPLETE").write_text("{}")
+    assert tile_values(tmp_path / "a", 0, 0, 0, bin_px=2).shape == (4, 4)
+    for name, bin_px in (("a", 1), ("b", 4)):
+        with pytest.raises(BadInput, match=r"\?bin: .*a factor that leaves at most 16 pixels"):
+            tile_values(tmp_path / name, 0, 0, 0, bin_px=bin_px)
 
 
 def test_a_tile_that_cannot_be_read_is_damage(tmp_path: Path) -> None:
