@@ -38,10 +38,10 @@ def as_fits(path, units):
 
 def as_vot(path, units):
     head = '<?xml version="1.0"?>\n<VOTABLE version="1.3"><RESOURCE><TABLE>'
-    for name in NAMES:
+    for i, name in enumerate(NAMES):
         kind = "long" if name == "source_id" else "double"
         unit = f' unit="{units[name]}"' if name in units else ""
-        head += f'<FIELD name="{name}" datatype="{kind}"{unit}/>'
+        head += f'<FIELD ID="col{i}" name="{name}" datatype="{kind}"{unit}/>'
     row = "".join(f"<TD>{value}</TD>" for value in VALUES)
     end = "</TABLEDATA></DATA></TABLE></RESOURCE></VOTABLE>"
     path.write_text(f"{head}<DATA><TABLEDATA><TR>{row}</TR>{end}")

@@ -59,6 +59,19 @@ def test_an_error_in_a_faint_pixel_is_set_against_its_own_noise(tmp_path, monkey
     assert (peak, noise) == pytest.approx((1e-6, 1.0))
 
 
+def test_a_streak_is_off_by_the_noise_of_its_pixels(tmp_path, monkeypatch):
+    """By 3 of 1,000 e- in a bright pixel: a tenth of its noise, and twice what is allowed."""
+    right = np.zeros((3, 3))
+    right[1, 1] = 0.1
+    truth = {"electrons": np.array([1e4])}
+    found = SimpleNamespace(truth=truth, layers={"mean_e": 1.003e4 * right[None]})
+    monkeypatch.setattr(stars, "_stars", lambda *_: found)
+    monkeypatch.setattr(stars, "_swept", lambda *_: right)
+    outcome = run_case(stars.streaks, tmp_path)
+    assert outcome.found.error == pytest.approx(3.0 / np.sqrt(1001.0))
+    assert not outcome.passed
+
+
 def test_light_that_is_not_as_the_square_of_the_size_fails(tmp_path, monkeypatch):
     """Of one body alone, in truth and frame alike."""
     real = of_frames.frames

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.execute.blocks import LightBlock
 from pipeline.physics.colour import ColourFit
-from pipeline.sweep.stages import _read_key, stages
+from pipeline.plan.tiles import Tile
+from pipeline.sweep.stages import _block_bytes, _read_key, stages
 
 FIT = ColourFit(
     "x", np.array([0.0, 0.1]), (-0.5, 4.0), 0.01, 0.02, 0.0, 0.8, 0.3, 0.03, 1e10, "made up", 9
@@ -60,3 +62,12 @@ def test_rows_of_a_shard_are_shared_by_all_that_they_follow_from() -> None:
     keys = [key_of(**changes) for changes in changed]
     assert len(set(keys)) == len(keys)
     assert key_of() == keys[0]
+
+
+def test_a_kept_block_counts_all_of_its_images() -> None:
+    """Of wings and of a crowd, which has every pixel of its 2048."""
+    wings, crowd = np.zeros((40, 50)), np.zeros((300, 200), np.float32)
+    block = LightBlock(Tile(0, 0, 0, 0, 300, 200), None, wings, 2.0 * wings, crowd, 0.0, 0.0)
+    assert 0 <= _block_bytes(block) - (2 * wings.nbytes + crowd.nbytes) <= 2000
+    bare = replace(block, star_wings=None, target_wings=None, crowd_e=None)
+    assert 0 < _block_bytes(bare) <= 2000

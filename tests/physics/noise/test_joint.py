@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -16,6 +18,9 @@ from pipeline.physics.noise.joint import (
     serves,
 )
 from pipeline.physics.noise.streams import poisson_image, standard_normals, stream_key
+from pipeline.route.prepare import prepare
+from pipeline.spec.load import parse_scene
+from tests.spec.test_limits import BASE
 
 KEYS = tuple(stream_key(3, name) for name in ("both", "photon_noise", "read_noise"))
 FULL = np.full((1, 4096), np.inf)
@@ -126,3 +131,14 @@ def test_what_reaches_its_full_well_is_drawn_term_by_term(mean_e: float, rays_e:
     apart = mean + rays + 12.0 * np.sqrt(mean + 4.0) >= well
     assert apart.any()
     assert np.array_equal(found[apart], (np.minimum(photons + rays, well) + noise)[apart])
+
+
+@pytest.mark.parametrize(("read_noise_e", "is_told"), [(1.49, False), (1.5, True), (2.4, True)])
+def test_the_plan_says_where_pixels_take_one_draw(read_noise_e: float, is_told: bool) -> None:
+    """From the read noise on of which bright ones do, though dark ones do from 2.5 e- on."""
+    scene = copy.deepcopy(BASE)
+    scene["sensor"] |= {"read_noise_e": read_noise_e}
+    decisions = prepare(parse_scene(scene)).plan.decisions
+    told = [d for d in decisions if d.component == "one_noise_draw"]
+    assert (len(told) == 1) is is_told
+    assert bool(serves(1e4, read_noise_e)) is is_told
