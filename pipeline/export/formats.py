@@ -122,12 +122,13 @@ class _Job:
 
 
 def _movie(job: _Job, output: Path) -> Iterator[Path]:
-    output.parent.mkdir(parents=True, exist_ok=True)
     pictures = movie_frames(job.product, job.frames, job.request.layer, MOVIE_PX)
+    if output.suffix == ".mp4":
+        encoder()
+    output.parent.mkdir(parents=True, exist_ok=True)
     if output.suffix == ".gif":
         write_atomically(output, gif_bytes(pictures, len(job.frames), job.request.fps))
     else:
-        encoder()
         with full_disk_told(output, MAKE_ROOM), whole_file(output) as own:
             own.touch()  # says why a place is none for a file, which ffmpeg does not
             write_mp4(pictures, own, job.request.fps)

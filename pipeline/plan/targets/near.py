@@ -35,7 +35,7 @@ def near_warnings(scene: Scene, g: Geometry) -> list[str]:
     size_m = np.array([radius_m(t.body) for t in scene.targets])
     distance_m = g.target_range_m.min(axis=(1, 2))
     near = np.divide(size_m, distance_m, where=distance_m > 0.0, out=np.zeros(len(size_m)))
-    off = off_by(near, np.nan_to_num(g.target_phase_rad.max(axis=(1, 2))))
+    off = off_by(near, np.nan_to_num(g.target_phase_rad).max(axis=(1, 2)))
     worst = [i for i in np.argsort(-off, kind="stable") if off[i] > scene.accuracy.flux_fraction]
     told = [
         f"{scene.targets[i].name}: as near as {distance_m[i]:.3g} m, with a radius of "
