@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -39,7 +40,7 @@ from pipeline.plan.response.streaks import POINTS, SHOWN, SLACK, StreakPlan, _li
 from pipeline.resolve.resolve import resolve
 from pipeline.route.prepare import prepare
 from pipeline.route.run import render
-from pipeline.route.truths import _of_targets
+from pipeline.route.truths import Truths, _of_targets
 from pipeline.spec.load import parse_scene
 from pipeline.spec.scene import Scene
 from pipeline.studies.scenes.scenes import MAKERS, with_accuracy
@@ -303,3 +304,14 @@ def test_wings_of_bright_targets_come_from_far_beside_the_frame() -> None:
     scene = cast(Scene, SimpleNamespace(sensor=SimpleNamespace(shape=(32, 32))))
     assert not near_frame(scene, g).any()
     assert near_frame(scene, g, FARTHEST_PX).ravel().tolist() == [True, False]
+
+
+def test_a_product_errs_by_its_stars_and_its_targets_together() -> None:
+    """Wings of a bright star and of a bright target reach the same pixels."""
+    truths = Truths(None, Path(), ExitStack())  # type: ignore[arg-type]
+    truths.__dict__["_tables"] = {}  # of frames without a table
+    truths._found["stars"] = SourceBounds(5.0, {WINGS: 0.1})
+    truths._found["targets"] = SourceBounds(7.0, {WINGS: 0.2})
+    _, drawn = truths.end()
+    assert drawn.errors_e == pytest.approx({WINGS: 0.3})
+    assert drawn.brightest_e == 7.0
