@@ -395,6 +395,18 @@ def test_a_frame_between_those_sampled_is_found() -> None:
         doubts(scene_of({"dwells": dwells, "pointing": away}))
 
 
+def test_the_earth_is_looked_for_when_it_is_nearest_itself() -> None:
+    """From geostationary height, first beside the Moon, then across the Earth's limb."""
+    moon = body("moon") - body("earth") - np.array(HIGH["orbit"]["position_m"])
+    disc = np.degrees(np.arcsin(6378.137 / 42164.0))
+    limb = {"mode": "sidereal", "boresight_dec_deg": 0.0, "boresight_ra_deg": 179.5 - disc}
+    away = beside(moon, 3.0)["pointing"]
+    dwells = [{"pointing": away, "frames": 2}, {"pointing": limb, "frames": 1}]
+    found = doubts(scene_of({"observer": HIGH, "dwells": dwells, "pointing": away}))
+    (said,) = [one for one in found.warnings if one.startswith("the Earth is in the field")]
+    assert "(frame 2)" in said
+
+
 def test_accepted_doubts_stand_first_in_the_plan() -> None:
     place = np.array(SCENE["observer"]["position_au"]) * AU_M
     scene = scene_of(beside(body("sun") - place, 20.0), {"accept": ["sun"]})

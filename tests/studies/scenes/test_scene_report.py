@@ -295,3 +295,11 @@ def test_an_image_that_is_no_number_does_not_hold(monkeypatch: pytest.MonkeyPatc
         switch = switches.Switch("sky", lambda: lambda _: one, lambda off=off: lambda _: off, 0.5)  # type: ignore[misc]
         found = switches._measured(of_plan, (tile,), of_noise, switch)  # type: ignore[arg-type]
         assert found["holds"] is holds
+
+
+def test_the_sky_at_each_pixels_own_place_takes_that_of_the_grids(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(switches, "exact_sky", lambda _: lambda _: "exact")
+    drawing: Any = switches._with_exact_sky(None, lambda: lambda _: {"a": 1, "background_e": 2})  # type: ignore
+    assert drawing()(None) == {"a": 1, "background_e": "exact"}
