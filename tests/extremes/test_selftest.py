@@ -59,6 +59,14 @@ def test_an_error_in_a_faint_pixel_is_set_against_its_own_noise(tmp_path, monkey
     assert (peak, noise) == pytest.approx((1e-6, 1.0))
 
 
+def test_a_wide_image_is_off_by_the_noise_of_its_pixels(tmp_path, monkeypatch):
+    """However small a part of its peak that is."""
+    monkeypatch.setattr(of_frames, "_against_erf", lambda *_, **__: (1e-6, 0.2, None))
+    outcome = run_case(of_frames.widths, tmp_path)
+    assert outcome.found.error == 0.2
+    assert not outcome.passed
+
+
 def test_a_streak_is_off_by_the_noise_of_its_pixels(tmp_path, monkeypatch):
     """By 3 of 1,000 e- in a bright pixel: a tenth of its noise, and twice what is allowed."""
     right = np.zeros((3, 3))

@@ -320,6 +320,13 @@ def test_redirects_in_a_circle_are_followed_a_few_times(archive, tmp_path, hasty
     assert len(archive.gets(name)) == 6
 
 
+def test_a_server_that_cannot_prove_itself_is_not_asked_again(archive, tmp_path, hasty):
+    """Here one that does not encrypt at all, by an address that says so."""
+    url = archive.base_url.replace("http:", "https:")
+    with pytest.raises(BadInput, match=r"base_url: .* the address of a folder that holds"):
+        fetch("gaia-dr2", tmp_path, everything=True, base_url=url, patience=hasty)
+
+
 def test_a_part_that_does_not_say_which_it_is_is_not_taken(archive, tmp_path, hasty):
     name = min(archive.files)
     archive.does.first[name] = [(206, {})]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
@@ -35,6 +37,20 @@ def test_a_body_with_panels_and_a_dish():
     assert made.parts[1].unit is None
     again = MeshBody.model_validate(made.model_dump())
     assert again == made
+
+
+def test_the_sharpest_highlight_is_that_of_any_part():
+    """Of a surface or a material, of the body or of a part: moments are as near as it asks for."""
+    gloss = {"kind": "cook_torrance", "roughness": 0.02, "normal_reflectance": 0.1}
+    part = {"name": "panel", "path": "panel.stl"}
+    assert MeshBody.model_validate(body(parts=[part])).highlight_rad == math.inf
+    for glossy in (
+        body(surface=gloss),
+        body(materials={"CELL": gloss}),
+        body(parts=[part, part | {"name": "dish", "surface": gloss}]),
+        body(parts=[part | {"materials": {"CELL": gloss}}]),
+    ):
+        assert MeshBody.model_validate(glossy).highlight_rad == pytest.approx(0.01)
 
 
 def refused(word, **more):
