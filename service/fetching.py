@@ -79,7 +79,7 @@ def fetch_sweep(job: Fetched, folder: Path, parallel: int = 8) -> Path:
     files = [(path, size) for path, size in _listing(job) if path != layout.COMPLETE]
     with ThreadPoolExecutor(parallel) as pool:
         list(pool.map(lambda file: _fetch(job, stage, file[0], file[1], lambda _: None), files))
-    for sealed in sorted((stage / layout.CUBES).glob(f"*/{layout.COMPLETE}")):
+    for sealed in sorted((stage / layout.CUBES).glob(f"{7 * '[0-9]'}/{layout.COMPLETE}")):
         _prove_cube(job, sealed.parent)
     for name, digest in json.loads(seal)["files"].items():
         if not (stage / name).is_file() or file_digest(stage / name) != digest:

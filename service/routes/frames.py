@@ -140,13 +140,15 @@ def fits(
 def record(
     service: Service,
     job_id: str,
-    point: Annotated[int | None, Query(ge=0, description="of a sweep: whose kept cube")] = None,
+    point: Annotated[
+        int | None, Query(ge=0, lt=2**31, description="of a sweep: whose kept cube")
+    ] = None,
 ) -> Response:
     """What the product was begun as; `.begun.json` of a fetched one, for `nightglass check`."""
     product = complete_product(service, job_id)
     path = (product if point is None else layout.cube_path(product, point)) / layout.BEGUN
     if not path.is_file():
-        raise NotThere(f"there is no cube of point {point}")
+        raise NotThere("the job keeps no such product")
     return Response(path.read_bytes(), media_type="application/json")
 
 

@@ -123,8 +123,11 @@ def switches(stage: Stage, tiles: tuple[Tile, ...], windows: Sequence[Tile]) -> 
     """
     plan = stage.plan
     bounds = {d.component: d.error_bound_e for d in plan.decisions if d.error_bound_e}
-    drawn_by = partial(partial, light_by, stage)
-    on: Drawing = drawn_by(plan)
+
+    def drawn_by(other: Plan) -> Drawing:
+        return partial(light_by, stage, other)
+
+    on = drawn_by(plan)
 
     def told(component: str, off: Drawing, **more: Any) -> Iterator[Switch]:
         if component in bounds:
