@@ -172,7 +172,7 @@ def test_the_worst_window_counts(monkeypatch):
     stage = SimpleNamespace(plan=SimpleNamespace(facts=facts))
     found = {"one": 0.1, "two": 0.7, "three": 0.3}
     switch = SimpleNamespace(
-        on=found.get, off=lambda _: 0.0, of_light=False, bound_e=3.0, component="x"
+        on=lambda: found.get, off=lambda: lambda _: 0.0, of_light=False, bound_e=3.0, component="x"
     )
     monkeypatch.setattr(drawing, "mean_of", lambda _, light, window: np.array([light]))
     monkeypatch.setattr(drawing, "noise_of", lambda *_: np.array([0.5]))
