@@ -46,7 +46,7 @@ def read_votable(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the archive's units are not all VOUnits
-            whole = parse(text)
+            whole = parse(text, table_number=0)
             table = whole.get_first_table()
             data = table.array
     except Exception as error:  # the XML parser has many ways to fail
@@ -66,9 +66,8 @@ def read_votable(
 def _is_cut_off(whole: VOTableFile) -> bool:
     """Whether the service that wrote the file left out rows (IVOA DALI 1.1, 4.4.1)."""
     infos = [*whole.infos, *(info for resource in whole.resources for info in resource.infos)]
-    return any(
-        info.name.upper() == "QUERY_STATUS" and info.value.upper() == "OVERFLOW" for info in infos
-    )
+    told = {((info.name or "").upper(), (info.value or "").upper()) for info in infos}
+    return ("QUERY_STATUS", "OVERFLOW") in told
 
 
 def _whole(

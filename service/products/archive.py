@@ -17,6 +17,7 @@ def archive(folder: Path, name: str) -> tuple[int, Iterator[bytes]]:
     files = list_files(folder)
     heads = [_head(f"{name}/{path}", size) for path, size in files]
     cubes = [path.removesuffix(COMPLETE) for path, _ in files if path.endswith(f"/{COMPLETE}")]
+    cubes = [inside for inside in cubes if (folder / inside / BEGUN).is_file()]
     first = b"".join(_record(folder, name, inside) for inside in ("", *cubes))
     length = len(first) + sum(
         len(h) + -(-size // BLOCK) * BLOCK for h, (_, size) in zip(heads, files, strict=True)

@@ -487,7 +487,7 @@ def test_a_votable_that_the_service_cut_off_is_told(tmp_path):
     text = (tmp_path / "whole.vot").read_text()
     for status in ("OVERFLOW", "OK"):
         info = f'<INFO name="QUERY_STATUS" value="{status}"/></RESOURCE>'
-        (tmp_path / f"{status}.vot").write_text(text.replace("</RESOURCE>", info))
+        (tmp_path / f"{status}.vot").write_text(text.replace("</RESOURCE>", f"<INFO/>{info}"))
     for name in ("whole", "OK", "OVERFLOW"):
         made = ingest([tmp_path / f"{name}.vot"], tmp_path / name, form="gaia_dr2")
         told[name] = [note for note in made.notes if "cut it off" in note]
