@@ -51,7 +51,7 @@ class FileSource:
     def tables(self, record: JsonObject) -> Iterator[pa.Table]:
         """Its rows; at the end its length and MD5 are compared with what was expected."""
         md5 = hashlib.md5(usedforsecurity=False)
-        doubts = record.setdefault("doubts", [])
+        doubts = record.get("doubts")
         yield from read_tables(
             Path(self.path), self.form, md5=md5, most_bytes=self.most_bytes, doubts=doubts
         )
