@@ -50,6 +50,7 @@ def _check_memory(memory: str) -> None:
     from dask.utils import parse_bytes
 
     try:
-        parse_bytes(memory)
+        if parse_bytes(memory) < 0:
+            raise ValueError(memory)
     except (ValueError, OverflowError):
         raise BadInput("--memory", memory, "such as 2GiB, or auto") from None

@@ -44,7 +44,8 @@ def test_a_scheduler_that_does_not_answer(scene_file, tmp_path, closed_port):
     ran = nightglass("worker", "tcp://10.1.2.3:8786")
     assert ran.returncode == 2
     for option, value in (("--memory", "'foo'"), ("--memory", "'1e400GiB'"), ("--patience", "nan"),
-                          ("--patience", "inf"), ("--patience", "-1.0")):  # fmt: skip
+                          ("--patience", "inf"), ("--patience", "-1.0"),
+                          ("--memory", "'-1GiB'")):  # fmt: skip
         ran = nightglass("worker", address, option, value.strip("'"))
         said = f"{option}: {value} is not accepted" in ran.stderr
         assert (ran.returncode, said) == (2, True), ran.stderr

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
@@ -11,6 +10,7 @@ from pipeline.lazily import need_matplotlib
 from pipeline.studies.accuracy.figure import draw_figure
 from pipeline.studies.accuracy.study import Progress, run_study
 from pipeline.studies.accuracy.tables import markdown
+from pipeline.studies.written import write_study
 
 MOST_STARS = 10_000_000
 SMALLEST_PX, LARGEST_PX = 256, 4096
@@ -44,7 +44,7 @@ def report_accuracy(
         stars, frame = min(stars, QUICK_STARS), (QUICK_PX, QUICK_PX)
     make_folder(out)
     study = run_study(stars, frame, quick, peers, satsim_python, progress)
-    (out / "accuracy.json").write_text(json.dumps(study, indent=1, allow_nan=False) + "\n")
+    write_study(out / "accuracy.json", study)
     (out / "accuracy.md").write_text(markdown(study))
     draw_figure(study, out / "accuracy.png")
     return study

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
@@ -19,6 +18,7 @@ from pipeline.studies.detection.finders import tasks
 from pipeline.studies.detection.judge import POINT_PX, DetectionVerdict, by_magnitude, judge
 from pipeline.studies.detection.points import Detections, flattened
 from pipeline.studies.detection.tables import markdown
+from pipeline.studies.written import write_study
 
 Progress = Callable[[str, int, int], None]
 
@@ -155,6 +155,6 @@ def _targets(told: list[JsonObject]) -> list[JsonObject]:
 def _write(study: JsonObject, shown: JsonObject, out: Path) -> None:
     from pipeline.studies.detection.figure import draw_figure
 
-    (out / "detection.json").write_text(json.dumps(study, indent=1, allow_nan=False) + "\n")
+    write_study(out / "detection.json", study)
     (out / "detection.md").write_text(markdown(study))
     draw_figure(study, shown, out / "detection.png")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, Missing, make_folder
 from pipeline.lines import markdown_table, table
 from pipeline.studies.ledger.study import Progress, checked_rules, run_ledger
+from pipeline.studies.written import write_study
 
 Row = JsonObject
 HEADS = ("component", "bound", "error caused", "CPU s saved", "holds", "measured")
@@ -28,7 +28,7 @@ def report_ledger(out: Path, rules: tuple[str, ...] = (), progress: Progress | N
         raise Missing("the ledger's meshes", "trimesh", "mesh")
     make_folder(out)
     study = run_ledger(rules, progress)
-    (out / "ledger.json").write_text(json.dumps(study, indent=1, allow_nan=False) + "\n")
+    write_study(out / "ledger.json", study)
     (out / "ledger.md").write_text(text(study), encoding="utf-8")
     return study
 

@@ -23,7 +23,7 @@ def main() -> None:
         found = {"refused": [error.field, str(error.value), error.allowed]}
     except NightglassError as error:
         found = {"failed": str(error)}
-    print(json.dumps(found, allow_nan=False))
+    print(json.dumps(found))
 
 
 def _reference(order: JsonObject) -> JsonObject:

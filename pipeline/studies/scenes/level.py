@@ -24,6 +24,7 @@ from pipeline.route.shares import Share
 from pipeline.spec.load import parse_scene
 from pipeline.studies.scenes.exact import Exact, load_exact
 from pipeline.studies.scenes.stage import Light, Stage, light_by, mean_of, open_stage
+from pipeline.studies.worst import worst_of
 
 
 def measure_level(order: JsonObject) -> JsonObject:
@@ -94,7 +95,7 @@ def errors_against(stage: Stage, light: Light, exact: Exact) -> JsonObject:
     return {
         "max_sigma": float(np.abs(share).max()),
         "rms_sigma": float(np.sqrt(np.mean(share**2))),
-        "max_e": max(float(np.abs(o).max()) for o in off),
+        "max_e": worst_of(*(np.abs(o).max() for o in off)),
         "bias": sum(float(o.sum()) for o in off) / total if total else 0.0,
         "bound_sigma": [total_sigma(stage.plan.decisions), float(bounds.max())],
         "of_bound": float(used.max()),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from pipeline.studies.scenes.tables import (
     level_table,
     switch_table,
 )
+from pipeline.studies.written import write_study
 
 
 def report_scenes(
@@ -54,7 +54,7 @@ def report_scenes(
 def write(study: JsonObject, out: Path) -> None:
     """Write a study into a folder."""
     ladder, omissions = ladder_figure(study), omission_figure(study)
-    (out / "report.json").write_text(json.dumps(study, indent=1, allow_nan=False) + "\n")
+    write_study(out / "report.json", study)
     (out / "report.html").write_text(page(study, ladder, omissions), encoding="utf-8")
     (out / "report.md").write_text(text(study), encoding="utf-8")
     (out / "report.png").write_bytes(ladder)

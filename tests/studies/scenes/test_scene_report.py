@@ -25,10 +25,10 @@ from pipeline.plan.response.responses import CoreClass
 from pipeline.plan.tiles import Tile, cut_up
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
-from pipeline.studies.scenes import scenes, stage, study, switches
+from pipeline.studies.scenes import level, scenes, stage, study, switches
 from pipeline.studies.scenes.exact import _below, _bright_places
 from pipeline.studies.scenes.figure import ladder_figure
-from pipeline.studies.scenes.report import report_scenes
+from pipeline.studies.scenes.report import report_scenes, write
 from pipeline.studies.scenes.switches import LARGEST_DOUBLED_PX, _finer_wings
 from pipeline.studies.scenes.tables import print_study
 
@@ -303,3 +303,27 @@ def test_the_sky_at_each_pixels_own_place_takes_that_of_the_grids(
     monkeypatch.setattr(switches, "exact_sky", lambda _: lambda _: "exact")
     drawing: Any = switches._with_exact_sky(None, lambda: lambda _: {"a": 1, "background_e": 2})  # type: ignore
     assert drawing()(None) == {"a": 1, "background_e": "exact"}
+
+
+def test_a_study_with_errors_that_are_no_numbers_is_written(report: Path, tmp_path: Path) -> None:
+    found = json.loads((report / "report.json").read_text())
+    level = found["scenes"][0]["levels"][0]
+    level |= {"max_sigma": math.nan, "rms_sigma": math.inf, "windows": 7}
+    write(found, tmp_path)
+    told = json.loads((tmp_path / "report.json").read_text())["scenes"][0]["levels"][0]
+    assert (told["max_sigma"], told["rms_sigma"], told["windows"]) == (None, None, 7)
+    assert "nan" in (tmp_path / "report.md").read_text()
+
+
+def test_the_largest_error_of_windows_is_no_number_where_one_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    means = iter([np.full((2, 2), 3.0), np.full((2, 2), np.nan)])
+    monkeypatch.setattr(level, "mean_of", lambda *_: next(means))
+    monkeypatch.setattr(level, "allowed_e", lambda _, noise, *__: noise)
+    monkeypatch.setattr(level, "lights_near", lambda *_: ([], []))
+    monkeypatch.setattr(level, "total_sigma", lambda _: 0.0)
+    none = np.zeros((2, 2))
+    exact: Any = SimpleNamespace(windows=(0, 1), mean_e=(none, none), noise_e=(none + 1, none + 1))
+    of: Any = SimpleNamespace(plan=SimpleNamespace(decisions=()))
+    assert math.isnan(level.errors_against(of, lambda _: {}, exact)["max_e"])
