@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import sys
 from typing import Annotated
@@ -21,6 +22,8 @@ NO_PLACE = (
     errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG,
     errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS,
 )  # fmt: skip
+
+WAYS_ON = "the same command continues a catalogue or a download, all else begins anew"
 
 app = lazy_group(COMMANDS, completion=True, name="nightglass")
 
@@ -60,12 +63,15 @@ def main() -> None:
 
 
 def _open_streams() -> None:
-    """A stream that the caller closed (`2>&-`) leads nowhere, and no file takes its number."""
+    """A stream that the caller closed (`2>&-`) leads nowhere, and no file takes its number; letters
+    that stdout does not have are escaped, as those of stderr."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             stream = os.fdopen(os.open(os.devnull, os.O_RDWR), mode, encoding="utf-8")
             os.set_inheritable(stream.fileno(), True)
             setattr(sys, name, stream)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _explain(error: BaseException) -> int:
@@ -77,7 +83,7 @@ def _explain(error: BaseException) -> int:
             _say(f"{said} (see --help)")
         return 2
     if isinstance(error, KeyboardInterrupt | typer.Abort):
-        _say("interrupted; the same command continues a catalogue or a download")
+        _say(f"interrupted; {WAYS_ON}")
         return 130
     if isinstance(error, OSError) and error.errno is not None:
         full = f"the disk is full ({os.strerror(error.errno)})"

@@ -16,7 +16,7 @@ from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import file_digest
 from pipeline.errors import NOT_NOW, BadInput, Damaged, Incomplete, check_new
 from pipeline.store import layout
-from pipeline.store.product import check, content_digest, is_begun
+from pipeline.store.product import Verdict, check, content_digest, is_begun
 from service.answers import problem_of
 
 PART = ".part"
@@ -96,9 +96,7 @@ def _prove_cube(job: Fetched, cube: Path) -> None:
     if not is_begun(cube):  # an older server gives that of the sweep
         (cube / layout.BEGUN).unlink()
         return
-    verdict = check(cube)
-    if not verdict.whole or verdict.faults:
-        fault = next(iter(verdict.faults), "not whole")
+    if fault := _fault_of(check(cube)):
         raise Damaged(f"{layout.CUBES}/{cube.name}", f"{fault}; fetch it again")
 
 
@@ -192,11 +190,16 @@ def _prove(job: Fetched, folder: Path, seal: bytes) -> None:
     if not faults and wanted and content_digest(folder) != wanted:
         shutil.rmtree(folder)  # which of its files differ is not known
         raise Damaged(str(folder), "the content differs from what the job made; fetch it again")
-    if not verdict.whole or faults:
+    if fault := _fault_of(verdict):
         complete.unlink()
-        for fault in faults:
-            _forget(folder, fault)
-        raise Damaged(str(folder), f"{faults[0] if faults else 'not whole'}; fetch it again")
+        for one in faults:
+            _forget(folder, one)
+        raise Damaged(str(folder), f"{fault}; fetch it again")
+
+
+def _fault_of(verdict: Verdict) -> str:
+    """The first fault of a product, empty where it is whole."""
+    return next(iter(verdict.faults), "" if verdict.whole else "not whole")
 
 
 def _forget(folder: Path, fault: str) -> None:

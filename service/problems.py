@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, NightglassError, shorten
@@ -104,6 +106,22 @@ class EngineFault(Refusal):
     """The engine stopped without an answer: an internal fault."""
 
 
+@contextmanager
+def within(place: str) -> Iterator[None]:
+    """Name mistakes of what stands at a place of a body by where they are in the body."""
+    try:
+        yield
+    except Refusal as error:
+        error.errors = [e | {"pointer": f"/{place}{e['pointer']}"} for e in error.errors]
+        raise
+    except BadInput as error:
+        kind: Callable[..., BadInput] = type(error)
+        there = [(f"{place}.{name}", value, allowed) for name, value, allowed in mistakes_of(error)]
+        if hasattr(error, "mistakes"):
+            raise kind(there) from None
+        raise BadInput(*there[0]) from None
+
+
 def mistakes_of(error: Exception) -> list[Mistake]:
     """The mistakes of a scene or of another input; none where an error is of something else."""
     if not isinstance(error, BadInput):
@@ -121,11 +139,11 @@ def mistake_dict(mistake: Mistake) -> JsonObject:
 def pointer(field: str) -> str:
     """`sensor.shape` as `/sensor/shape`, `stars.catalogue[1]` as `/stars/catalogue/1`.
 
-    Query parameters (`?limit`) and headers stay.
+    Query parameters (`?limit`) and headers stay; `axes.0 (sensor.gain), value 2` is `/axes/0`.
     """
     if field.startswith("?") or field in ("scene", ""):
         return field if field.startswith("?") else ""
-    field = re.sub(r"\[(\d+)\]", r".\1", field)
+    field = re.sub(r"\[(\d+)\]", r".\1", field.partition(" (")[0])
     parts = field.replace("~", "~0").replace("/", "~1").split(".")
     return cut("/" + "/".join(parts), 200)
 

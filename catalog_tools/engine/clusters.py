@@ -115,6 +115,7 @@ def set_up_dask() -> None:
             "distributed.worker.profile.enabled": False,
             # By default 1 to 1000 times a second, in every process: a tenth of a short job.
             "distributed.admin.tick.interval": "5s",
+            "distributed.admin.tick.limit": "60s",
             "distributed.admin.system-monitor.interval": "5s",
             "distributed.admin.system-monitor.gil.enabled": False,
             "distributed.worker.memory.monitor-interval": "1s",

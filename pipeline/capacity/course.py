@@ -212,7 +212,8 @@ def _watcher(data: JsonObject, study: Study, i: int, epoch: tuple[float, float])
     regard, field = sensor.field_of_regard, f"sensors.{i}."
     try:
         named = sections | {"name": sensor.name}
-        return make_watcher(named, regard, epoch, tracks, field, study.seed)
+        until_s = study.duration_h * 3600.0
+        return make_watcher(named, regard, epoch, tracks, field, study.seed, until_s)
     except BadInput as error:  # of a scene: its sections stand elsewhere in a study
         camera_at = f"cameras.{study.cameras.index(camera)}."
         known = error.field.split(".")[0]

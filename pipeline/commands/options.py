@@ -86,6 +86,8 @@ def told_if_interrupted(
     try:
         yield
     except KeyboardInterrupt:
+        if "://" not in place and not Path(place).exists():
+            raise Interrupted(f"interrupted; {place}: nothing was begun") from None
         words = [word for word in sys.argv[1:] if word not in ("--replace", "--resume")]
         again = shlex.join(["nightglass", *words, *(["--resume"] if resumes else [])])
         raise Interrupted(f"interrupted; {place}: {kept()}; go on with:\n  {again}") from None

@@ -58,11 +58,14 @@ def groups_of(asked: Scene, times: Times) -> tuple[list[Group], list[str]]:
     """
     if not (asked.targets or asked.populations):
         raise BadInput("targets", "none", "a target or a population, to observe it")
+    first, last = (float(v) for v in times.middle_s[[0, -1]])
+    if not times.as_exposed:  # orbits of files over these times, too
+        spare_s = longest_s(asked)
+        asked = gather_ephemerides(asked, (first - spare_s, last + spare_s))
     sensor, notes, drawable = _sensor_of(asked)
     if not times.as_exposed:
         notes = [f"of the scene's own exposures: {note}" for note in notes]
     own, as_drawn = len(asked.targets), drawable and times.as_exposed
-    first, last = (float(v) for v in times.middle_s[[0, -1]])
     near_s = 0.0 if times.as_exposed else 0.5 * (first + last)
     whole = _whole(asked, sensor, first, last, near_s)
     notes += _omitted(whole.scene)

@@ -223,7 +223,7 @@ def doubts_of_light(promised: float, stated: float) -> list[str]:
     if stated <= promised * ROUNDING:
         return []
     return [
-        f"the brightest source or the densest crowd drawn is brighter than the drawing serves "
-        f"within what was asked: pixels there may err by {stated:.3g} of their noise, not "
-        f"{promised:g}"
+        f"the brightest source or the densest crowd drawn is brighter than the plan knew: pixels "
+        f"there may err by {stated:.3g} of their noise, not by the {promised:g} that was asked or "
+        "accepted"
     ]

@@ -43,6 +43,8 @@ class Folder(Place):
             check_free(self.path, resume)
         elif self.path.exists() and not is_begun(self.path):
             raise BadInput("--replace", self.name, "a product made by `nightglass render`")
+        elif self.path.is_symlink():
+            raise BadInput("--replace", self.name, "a product, not a link to one")
 
     @contextmanager
     def written(self, claim: Claim) -> Iterator[FolderWriting]:

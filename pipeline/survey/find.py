@@ -186,7 +186,9 @@ def _watcher(scene: Scene, request: FindOptions, epoch: tuple[float, float]) -> 
     if "epoch" in orbit:  # whose default is that of the scene, wherever the look begins
         orbit["epoch"] = orbit["epoch"] or scene.epoch
     tracks = scene.pointing.mode == "target"
-    watcher = make_watcher(sections, request.regard, epoch, tracks, "", scene.seed)
+    watcher = make_watcher(
+        sections, request.regard, epoch, tracks, "", scene.seed, request.hours * 3600.0
+    )
     return replace(watcher, pointing=scene.pointing)
 
 

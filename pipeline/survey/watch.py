@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
+from pipeline.inputs.targets.ephemerides import gather_ephemerides
 from pipeline.physics.constants import (
     DEG_RAD,
     EARTH_EQUATORIAL_RADIUS_M,
@@ -333,10 +334,12 @@ def make_watcher(
     tracks: bool,
     field: str = "",
     seed: int = 0,
+    until_s: float = 0.0,
 ) -> Watcher:
     """A watcher of a scene's sections: `observer`, `sensor`, `exposure`, `background`.
 
-    epoch : two-part UTC, from which moments count
+    epoch : two-part UTC, from which moments count; until_s : the last one, which an orbit's file
+        must cover
     """
     stub = {
         **{k: v for k, v in sections.items() if v is not None},
@@ -348,7 +351,7 @@ def make_watcher(
         "targets": [PROBE],
         "pointing": {"mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0},
     }
-    scene = parse_scene(stub)
+    scene = gather_ephemerides(parse_scene(stub), (0.0, until_s))
     if not isinstance(scene.observer, GroundObserver | OrbitObserver):
         raise BadInput(f"{field}observer.kind", scene.observer.kind, "ground or orbit")
     detector = scene.sensor.detector

@@ -11,6 +11,7 @@ from pipeline.plan.needs import predict
 from pipeline.route.prepare import Prepared, check_room, prepare
 from pipeline.route.run import Options
 from pipeline.spec.load import parse_scene
+from pipeline.spec.scene import Scene
 from pipeline.sweep.points import Course, check_axes, concerns, names_of_axes, scene_of
 
 MOST_TARGETS = 64
@@ -29,6 +30,15 @@ class Checked:
     digests: list[str]
     warnings: list[str]
     point_cpu_s: float
+
+
+def judge_course(course: Course) -> None:
+    """BadInput for what `check` refuses and no point has to be planned for: values of axes that no
+    scene takes, and names of targets that are not there."""
+    design = course.design
+    check_axes(design, course.data, partial(parse_scene, base=Path(course.base_folder)))
+    if not (first := scene_of(course, design, 0)).populations:
+        _measured(course, [first])
 
 
 def check(course: Course, options: Options | None = None) -> Checked:
@@ -55,7 +65,7 @@ def check(course: Course, options: Options | None = None) -> Checked:
     if not found:
         raise faults[0]
     return Checked(
-        _measured(course, found),
+        _measured(course, [one.plan.scene for one in found]),
         _digests(course, found[0]),
         [f"point {point}: {warning}" for warning, point in warnings.items()],
         max(predict(one.plan, one.forecast, one.spent)["cpu_s"] for one in found),
@@ -78,10 +88,10 @@ def _digests(course: Course, point: Prepared) -> list[str]:
     return [c.digest for c in point.catalogues]
 
 
-def _measured(course: Course, found: list[Prepared]) -> tuple[str, ...]:
+def _measured(course: Course, scenes: list[Scene]) -> tuple[str, ...]:
     """Names of the targets measured, of whatever points have them. BadInput for one that is not
     there, and for too many."""
-    named = (t.name for one in found for t in one.plan.scene.targets)
+    named = (t.name for scene in scenes for t in scene.targets)
     known = tuple(dict.fromkeys((*named, *names_of_axes(course))))
     names = known if course.sweep.targets is None else course.sweep.targets
     for i, name in enumerate(names):

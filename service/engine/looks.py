@@ -57,20 +57,26 @@ class Looks:
         seen: JsonObject = (await self._answer(request, team, scene, order))["observed"]
         return seen
 
-    async def judge(self, request: Request, team: str, scene: JsonObject) -> None:
-        """PlanRefused where an uploaded file is not what the scene says; TooMany.
+    async def judge(
+        self, request: Request, team: str, scene: JsonObject, sweep: JsonObject | None = None
+    ) -> None:
+        """PlanRefused where an uploaded file is not what the scene says, or where an axis of the
+        sweep of which it is the base is not taken; TooMany.
 
         A scene that cannot be judged in time is taken: the engine that draws it judges it again.
         Scenes that differ in name and seed alone are judged once.
         """
+        asked: JsonObject = {"do": "judge"}
+        if sweep is not None:
+            asked["sweep"] = {k: v for k, v in sweep.items() if k != "scene"}
         text = json.dumps({k: v for k, v in scene.items() if k not in ("name", "seed")})
-        key = team, hashlib.sha256(text.encode()).digest()
-        if not files_in(text) or key in self._judged:
+        key = team, hashlib.sha256((text + json.dumps(asked)).encode()).digest()
+        if (sweep is None and not files_in(text)) or key in self._judged:
             return
         limit_s = self._settings.judge_s
         try:
             async with asyncio.timeout(limit_s):
-                await unless_gone(request, self._look(team, scene, {"do": "judge"}, limit_s))
+                await unless_gone(request, self._look(team, scene, asked, limit_s))
         except (TimeoutError, PlanTooSlow):
             log.info("a scene's files were not judged in %g s; it is taken", limit_s)
         except EngineFault as error:

@@ -19,7 +19,9 @@ from pipeline.route.judge import judge
 from pipeline.route.prepare import check_cost, plan_scene
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
+from pipeline.spec.sweep_load import parse_sweep
 from service import logs
+from service.problems import within
 
 Say = Callable[[JsonObject], None]
 Order = Callable[[JsonObject, Say], JsonObject]
@@ -78,7 +80,14 @@ def _observe(order: JsonObject, _: Say) -> JsonObject:
 
 
 def _judge(order: JsonObject, _: Say) -> JsonObject:
-    judge(parse_scene(order["scene"]))
+    sweep = order.get("sweep")
+    with within("scene") if sweep else contextlib.nullcontext():
+        judge(parse_scene(order["scene"]))
+    if sweep:
+        from pipeline.sweep.check import judge_course
+        from pipeline.sweep.run import course_of
+
+        judge_course(course_of(parse_sweep(sweep | {"scene": order["scene"]}), Path.cwd(), Path()))
     return {"outcome": "done"}
 
 

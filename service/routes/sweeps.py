@@ -10,6 +10,7 @@ from pipeline.errors import NightglassError
 from service.accounts.teams import pixel_frames_of
 from service.context import Service
 from service.http.bodies import TEXTS, digest_of, media_type, parse_text, read_body
+from service.problems import within
 from service.routes.jobs import (
     DryRun,
     IdempotencyKey,
@@ -40,11 +41,13 @@ async def submit(
             accept_sweep, data, service.settings, service.has_file
         )
         if dry_run:
-            plan = await service.looks.plan(request, service.caller.team, sweep["scene"])
+            with within("scene"):
+                plan = await service.looks.plan(request, service.caller.team, sweep["scene"])
+        await service.looks.judge(request, service.caller.team, sweep["scene"], sweep)
+        if dry_run:
             points = pixel_frames // pixel_frames_of(sweep["scene"])
             size = {"points": points, "pixel_frames": pixel_frames}
             return JSONResponse(size | {"base": with_time(plan)})
-        await service.looks.judge(request, service.caller.team, sweep["scene"])
     except NightglassError as error:
         return await made_before(service, None if dry_run else key, body, kind, error)
     digest = digest_of(data)

@@ -14,7 +14,7 @@ from pipeline.spec.scene import Scene
 from pipeline.spec.sweep import Axis, Sweep
 from pipeline.spec.sweep_load import parse_sweep
 from pipeline.sweep.design import Design
-from service.problems import NotAllowed
+from service.problems import NotAllowed, within
 from service.scenes.axes import check_no_file
 from service.scenes.scenes import HasFile, accept_scene, product_bytes_of
 from service.scenes.uploads import engine_scene
@@ -49,7 +49,8 @@ def accept_sweep(
     if not isinstance(parsed.scene, dict):
         allowed = "the base scene itself: over REST no file is read"
         raise NotAllowed(f"scene: {allowed}", (("scene", parsed.scene, allowed),))
-    base = accept_scene(parsed.scene, settings, has_file)
+    with within("scene"):
+        base = accept_scene(parsed.scene, settings, has_file)
     for i, axis in enumerate(parsed.axes):
         _check_axis(i, axis)
     rows, columns = base.sensor.shape

@@ -127,6 +127,12 @@ def test_info_of_a_product(tmp_path: Path) -> None:
         assert words in said
     wrong = nightglass("info", tmp_path)
     assert (wrong.returncode, "PRODUCT" in wrong.stderr) == (2, True)
+    named = (tmp_path / "run").rename(tmp_path / "prüfung")
+    ran = subprocess.run(
+        [sys.executable, "-m", "pipeline", "info", named], capture_output=True,
+        env=os.environ | {"PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}, timeout=100,
+    )  # fmt: skip
+    assert (ran.returncode, rb"pr\xfcfung" in ran.stdout) == (0, True), ran.stderr
 
 
 def test_version() -> None:

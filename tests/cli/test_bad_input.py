@@ -23,6 +23,7 @@ from pipeline.cli import app
 from pipeline.commands.jobs import read_scene
 from pipeline.errors import NO_ROOM, BadInput
 from pipeline.spec.load import load_scene
+from pipeline.store.product import check
 from tests.command import nightglass
 
 SCENE = {
@@ -422,3 +423,12 @@ def test_a_demo_leaves_a_scene_that_is_not_its_own(more, tmp_path):
     assert (result.returncode, "Traceback" in result.stderr) == (2, False)
     assert "that of an earlier demo with its scene.yaml as it was" in result.stderr
     assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("scene.yaml", "name: mine\n")]
+
+
+def test_a_link_to_a_product_is_not_replaced(tmp_path):
+    (tmp_path / "scene.json").write_text(json.dumps(SCENE))
+    assert nightglass("render", tmp_path / "scene.json", "-o", tmp_path / "run").returncode == 0
+    (tmp_path / "link").symlink_to(tmp_path / "run")
+    told = nightglass("render", tmp_path / "scene.json", "-o", tmp_path / "link", "--replace")
+    assert (told.returncode, "a product, not a link to one" in told.stderr) == (2, True)
+    assert check(tmp_path / "run").whole

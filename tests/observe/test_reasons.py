@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from astropy.time import Time
 
+from pipeline.errors import BadInput
 from pipeline.observe.observe import observe
 from pipeline.physics.positions.earth import earth_and_sun
 from pipeline.physics.positions.orbit_two_body import two_body
@@ -137,35 +138,48 @@ def test_a_camera_that_looks_at_the_ground() -> None:
     assert later["in shadow"] > 3
 
 
-def test_a_camera_from_a_file_that_looks_at_the_ground(tmp_path: Path) -> None:
-    """Orbits of rows a second apart, over exposures of a minute: as from the states themselves."""
-    times = np.arange(-5.0, 71.0)
-    orbits = {}
-    for name, radius_m in (("camera", 7.2e6), ("low", 7.0e6)):
-        start = np.array([radius_m, 0, 0]), np.array([0, np.sqrt(3.986004418e14 / radius_m), 0])
-        rows = np.column_stack([times, *two_body(*start, times)])
-        lines = [",".join(repr(float(v)) for v in row) for row in rows]
-        head = "time_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s"
-        (tmp_path / f"{name}.csv").write_text("\n".join([head, *lines]))
-        of_file = {"kind": "ephemeris", "path": str(tmp_path / f"{name}.csv"), "frame": "gcrs"}
-        state = {
-            "kind": "state",
-            "position_m": start[0].tolist(),
-            "velocity_m_s": start[1].tolist(),
-        }
-        orbits[name] = (of_file, state)
+def from_file_and_state(
+    folder: Path, name: str, radius_m: float, times: np.ndarray
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A circular orbit as a file of rows at some times, and as a state."""
+    start = np.array([radius_m, 0, 0]), np.array([0, np.sqrt(3.986004418e14 / radius_m), 0])
+    rows = np.column_stack([times, *two_body(*start, times)])
+    lines = [",".join(repr(float(v)) for v in row) for row in rows]
+    head = "time_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s"
+    (folder / f"{name}.csv").write_text("\n".join([head, *lines]))
+    of_file = {"kind": "ephemeris", "path": str(folder / f"{name}.csv"), "frame": "gcrs"}
+    place, speed = (v.tolist() for v in start)
+    return of_file, {"kind": "state", "position_m": place, "velocity_m_s": speed}
+
+
+@pytest.mark.parametrize("times", [None, "-600,3000,400"])
+def test_a_camera_from_a_file(times: str | None, tmp_path: Path) -> None:
+    """As from the states themselves: of rows a second apart, over exposures of a minute in which
+    it looks at the ground, and at other times that the rows cover."""
+    step_s, ends_s = (1.0, (-5.0, 71.0)) if times is None else (10.0, (-650.0, 3050.0))
+    rows_s = np.arange(*ends_s, step_s)
+    camera = from_file_and_state(tmp_path, "camera", 7.2e6, rows_s)
+    low = from_file_and_state(tmp_path, "low", 7.0e6, rows_s)
     tables = []
     for k in (0, 1):
         scene = night(
-            observer={"kind": "orbit", "orbit": orbits["camera"][k]},
-            targets=[{"name": "ball", "orbit": orbits["low"][k], "body": BALL}],
+            observer={"kind": "orbit", "orbit": camera[k]},
+            targets=[{"name": "ball", "orbit": low[k], "body": BALL}],
             pointing=TRACK, background=None,
             exposure={"integration_s": 1.0, "frames": 7, "cadence_s": 10.0},
         )  # fmt: skip
-        tables.append(observe(parse_scene(scene)).table.to_pydict())
+        tables.append(observe(parse_scene(scene), times).table.to_pydict())
     assert tables[0]["seen"] == tables[1]["seen"]
     for name, within in (("ra_deg", 1e-7), ("dec_deg", 1e-7), ("range_m", 1e-3)):
         assert np.allclose(tables[0][name], tables[1][name], rtol=0.0, atol=within), name
+
+
+def test_times_that_a_file_does_not_cover_are_named(tmp_path: Path) -> None:
+    of_file, _ = from_file_and_state(tmp_path, "low", 7.0e6, np.arange(-50.0, 1000.0, 10.0))
+    scene = parse_scene(night(targets=[{"name": "ball", "orbit": of_file, "body": BALL}]))
+    with pytest.raises(BadInput, match="one stretch of rows over all times") as refused:
+        observe(scene, "0,2000,400")
+    assert refused.value.field == "targets.0.orbit.path"
 
 
 def test_the_sun_in_the_field_is_no_refusal() -> None:

@@ -78,6 +78,27 @@ def test_from_an_orbit_against_brute_force() -> None:
     same_as_every_moment(w, 10.0 * np.arange(600), far)
 
 
+def test_a_watcher_whose_orbit_is_a_file(tmp_path: Path) -> None:
+    """It stands where the file has it until the last moment that is looked at."""
+    times = np.arange(-100.0, 3700.0, 10.0)
+    start = np.array([7e6, 0, 0]), np.array([0, np.sqrt(3.986004418e14 / 7e6), 0])
+    rows = np.column_stack([times, *two_body(*start, times)])
+    lines = [",".join(repr(float(v)) for v in row) for row in rows]
+    (tmp_path / "a.csv").write_text("\n".join(["time_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s", *lines]))
+    orbit = {"kind": "ephemeris", "path": str(tmp_path / "a.csv"), "frame": "gcrs"}
+    asked = sections(observer={"kind": "orbit", "orbit": orbit})
+    place, speed = (v.tolist() for v in start)
+    state = {"kind": "state", "position_m": place, "velocity_m_s": speed}
+    places = [
+        make_watcher(asked | {"observer": {"kind": "orbit", "orbit": one}}, FieldOfRegard(), EPOCH,
+                     True, until_s=3600.0).watch(np.array([0.0, 1800.0, 3600.0])).observer_m
+        for one in (orbit, state)
+    ]  # fmt: skip
+    assert np.allclose(*places, rtol=0.0, atol=1e-3)
+    with pytest.raises(BadInput, match="rows over all times"):
+        make_watcher(asked, FieldOfRegard(), EPOCH, True, until_s=4000.0)
+
+
 @pytest.mark.usefixtures("coarse_signal")
 def test_a_step_is_screened_by_the_lowest_of_all_of_its_moments() -> None:
     """On an eccentric orbit the limb sinks and rises within a step; so does the limit."""

@@ -52,7 +52,7 @@ def gather_ephemerides(scene: Scene, also_s: Span | None = None) -> Scene:
     observer = getattr(scene.observer, "orbit", None)
     if not targets and not (observer is not None and _is_file(observer)):
         return scene
-    data, read = scene.as_dict(), _Reader(scene, also_s or (0.0, 0.0))
+    data, read = scene.as_dict(), _Reader(scene, also_s)
     for i in targets:
         data["targets"][i]["orbit"] = read.orbit(scene.targets[i].orbit, f"targets.{i}.orbit")
     if observer is not None and _is_file(observer):
@@ -67,10 +67,12 @@ def _is_file(orbit: Orbit) -> bool:
 class _Reader:
     """Reads each file once, and turns what it holds into plain data of an orbit."""
 
-    def __init__(self, scene: Scene, also_s: Span) -> None:
+    def __init__(self, scene: Scene, also_s: Span | None) -> None:
+        self._what = "exposures" if also_s is None else "times"
+        first_s, last_s = also_s or (0.0, 0.0)
         self._epoch = parse_utc(scene.epoch)
         self._text = scene.epoch
-        self._span_s = min(0.0, also_s[0]), max(end_s(scene), also_s[1])
+        self._span_s = min(0.0, first_s), max(end_s(scene), last_s)
         self._files: dict[object, Any] = {}
 
     def orbit(self, orbit: Orbit, field: str) -> JsonObject:
@@ -106,7 +108,7 @@ class _Reader:
         raise BadInput(
             f"{field}.path",
             f"{path.name} covering {shown}",
-            f"one stretch of rows over all exposures, {since} to {until}, and the light's way "
+            f"one stretch of rows over all {self._what}, {since} to {until}, and the light's way "
             "before",
         )
 

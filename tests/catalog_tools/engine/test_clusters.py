@@ -17,6 +17,7 @@ from types import SimpleNamespace
 
 import dask
 import pytest
+from dask.utils import parse_timedelta
 from distributed.core import Status
 from distributed.scheduler import KilledWorker
 
@@ -96,6 +97,16 @@ def test_processes_are_forked_off_one_that_has_the_code_and_do_not_hear_ctrl_c()
     assert rest == [True, True]
     assert other == (parent, True, True)
     assert parent != os.getpid()
+
+
+def test_a_worker_that_idles_is_not_taken_for_one_that_hangs():
+    """Distributed warns where its own clock ticks later than a limit."""
+    clusters.set_up_dask()
+    every, limit = (
+        parse_timedelta(dask.config.get(f"distributed.admin.tick.{name}"))
+        for name in ("interval", "limit")
+    )
+    assert limit >= 2.0 * every
 
 
 def test_why_processes_cannot_be_started_is_told(monkeypatch):

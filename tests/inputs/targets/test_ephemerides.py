@@ -471,7 +471,7 @@ def test_rows_are_kept_for_other_times_that_are_asked_for(tmp_path: Path) -> Non
     assert len(few.rows) < len(more.rows)
     at = np.array([-900.0, 2400.0])
     np.testing.assert_allclose(states(more, at)[0], true(at)[0], atol=1e-2)
-    with pytest.raises(BadInput, match="one stretch of rows over all exposures, 2017-02-14T05:"):
+    with pytest.raises(BadInput, match="one stretch of rows over all times, 2017-02-14T05:"):
         gather_ephemerides(made, (-3700.0, 0.0))
 
 

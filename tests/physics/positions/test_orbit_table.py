@@ -102,6 +102,26 @@ def test_stated_error_of_few_rows_holds(rows: tuple[float, ...], hermite: bool) 
     assert nodes == (2 if len(time) == 3 else 4)
 
 
+@pytest.mark.parametrize("step_s", [30.0, 120.0])
+@pytest.mark.parametrize("fault", ["constant", "scale", "turn"])
+def test_velocities_that_all_err_alike_are_seen(fault: str, step_s: float) -> None:
+    """Of another source, unit or frame: midway between two rows no place is off, elsewhere all."""
+    time = np.arange(0.0, 7200.0, step_s)
+    start = np.array([2.66e7, 0, 0]), np.array([0, 3870.0, 0])
+    place, speed = two_body(*start, time)
+    wrong = {
+        "constant": speed + [20.0, -15.0, 10.0],
+        "scale": 1.01 * speed,
+        "turn": speed - np.cross([0.0, 0.0, 7.292115e-5], place),
+    }[fault]
+    nodes, stated_m = best_nodes(time, place, wrong)
+    at = np.linspace(0.0, time[-1], 4001)
+    found, _ = interpolate(time, place, wrong, at, nodes)
+    off_m = np.linalg.norm(found - two_body(*start, at)[0], axis=1).max()
+    assert off_m > 0.05 * step_s
+    assert off_m <= stated_m < 4.0 * off_m
+
+
 def test_only_the_rows_asked_for_are_judged() -> None:
     """Even motion through two rows each, one row 10 m off: its neighbours are missed by half."""
     time = np.arange(7) * 60.0

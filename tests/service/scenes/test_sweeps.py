@@ -49,6 +49,35 @@ def test_a_dry_run_answers_size_and_plan_and_makes_no_job(
     assert count() == before
 
 
+@pytest.mark.parametrize("dry_run", [False, True])
+@pytest.mark.parametrize(
+    ("wrong", "pointer", "said"),
+    [
+        ({"axes": [{"field": "sensor.nope", "values": [1.0]}]}, "/axes/0", "known keys: adc_bits"),
+        ({"axes": [{"field": "sensor.gain_e_per_dn", "values": [1.0, -1.0]}]}, "/axes/0", "0"),
+        ({"targets": ["nobody"]}, "/targets/0", "the name of a target"),
+        ({"scene": {"sensor": {"shape": [0, 64]}}}, "/scene/sensor/shape/0", "1"),
+    ],
+)
+def test_what_no_point_can_be_is_refused_at_once(
+    wrong: dict[str, Any],
+    pointer: str,
+    said: str,
+    dry_run: bool,
+    server: Any,
+    sweep: dict[str, Any],
+) -> None:
+    """By where it stands in the body, as the command line refuses it."""
+    base = copy.deepcopy(sweep["scene"])
+    base["sensor"] |= wrong.get("scene", {}).get("sensor", {})
+    body = sweep | wrong | {"scene": base}
+    answer = server.client.post(f"/v1/sweeps?dry_run={int(dry_run)}", json=body)
+    assert answer.status_code == 422, answer.text
+    first = answer.json()["errors"][0]
+    assert first["pointer"] == pointer
+    assert said in first["allowed"]
+
+
 def test_by_the_client(
     server: Any, sweep: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
