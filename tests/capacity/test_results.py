@@ -244,6 +244,12 @@ def test_never_detected_objects_come_last_in_medians() -> None:
     assert results._gap_figures(table, np.arange(5) % 2 == 0)["revisit_h"] == 5.0
 
 
+def test_figures_of_labels_stand_by_size_then_by_the_alphabet() -> None:
+    labels = np.array(["LEO", "500-1000", "GEO", "1000-2000", "0-500"])
+    order = sorted(labels.tolist(), key=results._first_number)
+    assert order == ["0-500", "500-1000", "1000-2000", "GEO", "LEO"]
+
+
 def test_the_page_has_the_figures(made: Made) -> None:
     """Each group's row under its own heads."""
     page = (made.folder / "report.html").read_text()

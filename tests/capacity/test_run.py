@@ -17,9 +17,16 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.capacity.course import make_course
-from pipeline.capacity.run import StudyOptions, _is_whole, _searched, forecast_of, run_study
+from pipeline.capacity.run import (
+    StudyOptions,
+    _at_point,
+    _is_whole,
+    _searched,
+    forecast_of,
+    run_study,
+)
 from pipeline.errors import BadInput, Incomplete
-from pipeline.spec.study_load import read_study
+from pipeline.spec.study_load import parse_study, read_study
 from pipeline.sweep.ledger import PointLedger
 from pipeline.sweep.run import SweepProgress
 from tests.command import nightglass
@@ -61,6 +68,13 @@ def test_points_have_their_values_of_all_axes_and_their_seeds(
         found.append(values)
     assert [note.partition(": ")[2] for note in report["notes"]] == notes != []
     assert sorted(found) == [(n, a, s) for n, a in ((1, 0.1), (3, 0.6)) for s in (3, 4)]
+
+
+def test_a_seed_is_a_value_only_where_there_are_several(data: Data) -> None:
+    data |= {"axes": [{"field": "sensors.0.count", "values": [1, 3]}]}
+    for seeds, keys in ((1, {"sensors.0.count"}), (2, {"sensors.0.count", "seed"})):
+        study = parse_study(data | {"seeds": seeds})
+        assert set(_at_point(data | {"seeds": seeds}, study, 1)[1]) == keys
 
 
 @pytest.mark.usefixtures("without_pictures")
@@ -261,6 +275,7 @@ DIES = """
 import json, os, signal, sys
 from pathlib import Path
 from pipeline.capacity import run
+from pipeline.spec.study_load import parse_study
 file, out, last = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
 changes = 0
 def die_at_the_last(event, _):

@@ -436,6 +436,7 @@ def test_same_table_by_every_scheduler(sweep_file, tmp_path):
     for kind in ("synchronous", "threads", "processes"):
         sweep(path, tmp_path / kind, Options(kind, 2))
         found.append(comparable(tmp_path / kind))
+        assert not list((tmp_path / kind).glob(f"{ledger.PARTS}/*"))
     assert found[0] == found[1] == found[2]
     assert [r["point"] for r in found[0]] == list(range(6))
 
@@ -582,6 +583,18 @@ def test_a_mistake_of_the_base_scene_is_told_as_its_own(sweep_file, tmp_path):
     with pytest.raises(InvalidScene) as refused:
         sweep(path, tmp_path / "out")
     assert [field for field, *_ in refused.value.mistakes] == ["sensor.adc_bits"]
+
+
+def test_a_mistake_of_an_axis_is_told_before_those_of_the_base(sweep_file, tmp_path):
+    path = sweep_file([NOISE | {"values": [-1.0, 2.0]}], {"sensor.adc_bits": 99})
+    with pytest.raises(BadInput, match=r"^axes\.0 \(sensor\.read_noise_e\), value 0: -1"):
+        sweep(path, tmp_path / "out")
+
+
+def test_values_that_a_table_does_not_take_are_text():
+    plain = [None, True, 3, 2.5, "a"]
+    assert [task._plain(value) for value in plain] == plain
+    assert task._plain({"b": [1, None], "a": 2.0}) == '{"a": 2.0, "b": [1, null]}'
 
 
 def test_exit_code_of_a_bad_sweep(sweep_file, tmp_path):

@@ -374,8 +374,8 @@ def test_ledger_spares_hashing_and_verify_hashes(archive, tmp_path, hasty):
         seen.clear()
         bring(archive, tmp_path, hasty, progress=lambda *t: seen.append(t))
         assert {stage for stage, *_ in seen} == stages
-    with (tmp_path / ".fetch" / "verified.jsonl").open("a") as file:
-        file.write('{"name": "torn')
+    with (tmp_path / ".fetch" / "verified.jsonl").open("ab") as file:
+        file.write(b'{"name": "torn \xff')
     (tmp_path / max(archive.files)).touch()
     assert bring(archive, tmp_path, hasty).downloaded == 0  # hashed again, noted again
     assert visible(tmp_path) == archive.files

@@ -145,6 +145,14 @@ def test_small_cones_bring_few_pixels():
         )
 
 
+def test_files_up_to_the_last_number_cover_the_sky_and_no_more():
+    """Those of an archive end beyond the last pixel of the sky."""
+    entries = [Entry("a", "", 0, 2**61), Entry("b", "", 2**61 + 1, 2**63 - 1)]
+    coverage = layout.files_coverage(layout.release_named("gaia-dr2"), entries)
+    assert coverage.ranges.tolist() == [[0, 12 * 4**9]]
+    assert coverage.sky_fraction == 1.0
+
+
 def test_whole_sky_is_every_file():
     entries = parse_md5sum(md5sum_text(small_archive()), DR2, "there")
     assert choose(entries, [FetchCone(0.0, 0.0, 180.0)]) == entries
