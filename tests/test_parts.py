@@ -11,12 +11,14 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
 import xarray as xr
 
 from pipeline.errors import BadInput, DiskFull, Incomplete, TryLater
+from pipeline.route import run
 from pipeline.route.run import Options, join, render
 from pipeline.route.shares import Share, parse_part
 from pipeline.spec.load import parse_scene
@@ -170,6 +172,29 @@ def test_a_part_that_ends_last_and_a_join_tell_programs_the_report(tmp_path):
     told = json.loads(joined.stdout)
     assert (first["complete"], last["frames"], told["frames"]) == (False, 1, 1)
     assert told["content_digest"] == last["content_digest"] == content_digest(tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("busy", "tiles", "joined", "pauses_s"),
+    [(0, 8, True, []), (2, 8, True, [1.0, 1.0]), (3, 8, False, [1.0, 1.0, 0.0]), (0, 7, False, [])],
+)
+def test_of_parts_that_end_together_one_joins(busy, tiles, joined, pauses_s, monkeypatch):
+    """It is tried again while another closes, a second later; a part before the last joins not."""
+    slept, left = [], [TryLater("another is closing")] * busy
+
+    def joining(*_):
+        if left:
+            raise left.pop()
+        return {"joined": True}
+
+    monkeypatch.setattr(run, "_joined", joining)
+    monkeypatch.setattr(run.time, "sleep", slept.append)
+    place = Mock(join_tries=3, tiles=lambda: tiles)
+    prepared = SimpleNamespace(plan=SimpleNamespace(tiles=range(4), frames=2))
+    told = run._joined_by_the_last(place, prepared, Share(2, 4), {"drawing": 1.0})
+    alone = {"part": "2/4", "tiles": 2, "complete": False, "seconds": {"drawing": 1.0}}
+    assert told == ({"joined": True} if joined else alone)
+    assert slept == pauses_s
 
 
 def test_join_names_what_is_damaged(tmp_path, whole):
