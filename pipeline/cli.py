@@ -23,7 +23,9 @@ NO_PLACE = (
     errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS,
 )  # fmt: skip
 
-WAYS_ON = "the same command continues a catalogue or a download, all else begins anew"
+INTERRUPTED = (
+    "interrupted; the same command continues a catalogue or a download, all else begins anew"
+)
 
 app = lazy_group(COMMANDS, completion=True, name="nightglass")
 
@@ -83,7 +85,7 @@ def _explain(error: BaseException) -> int:
             _say(f"{said} (see --help)")
         return 2
     if isinstance(error, KeyboardInterrupt | typer.Abort):
-        _say(f"interrupted; {WAYS_ON}")
+        _say(INTERRUPTED)
         return 130
     if isinstance(error, OSError) and error.errno is not None:
         full = f"the disk is full ({os.strerror(error.errno)})"

@@ -14,11 +14,11 @@ import pytest
 
 from pipeline.errors import BadInput, Damaged
 from pipeline.plan.cost import least_noise_s
-from pipeline.spec.load import load_scene
+from pipeline.spec.load import InvalidScene, load_scene
 from pipeline.store.product import check
 from pipeline.sweep.ledger import is_complete
 from service.client import Client
-from service.problems import NotAllowed
+from service.problems import NotAllowed, PlanRefused, mistake_dict, mistakes_of, within
 from service.scenes.sweeps import accept_sweep
 from service.settings import Settings
 
@@ -76,6 +76,26 @@ def test_what_no_point_can_be_is_refused_at_once(
     first = answer.json()["errors"][0]
     assert first["pointer"] == pointer
     assert said in first["allowed"]
+
+
+def test_mistakes_of_the_base_are_named_by_their_place_in_the_body() -> None:
+    """Whoever finds them: the form, this service, a plan."""
+    listed = [("sensor.shape", [0, 1], "allowed: 1 or more"), ("name", 7, "allowed: text")]
+    planned = {"message": "no", "errors": [mistake_dict(("", 1, "less")), mistake_dict(listed[0])]}
+    found = []
+    for error in (
+        InvalidScene(listed), BadInput("epoch", "x", "a date"),
+        NotAllowed("no", (listed[0],)), PlanRefused(planned),
+    ):  # fmt: skip
+        with pytest.raises(type(error)) as refused, within("scene"):
+            raise error
+        told = refused.value
+        errors = getattr(told, "errors", None) or [mistake_dict(m) for m in mistakes_of(told)]
+        found.append([one["pointer"] for one in errors])
+    assert found == [
+        ["/scene/sensor/shape", "/scene/name"], ["/scene/epoch"],
+        ["/scene/sensor/shape"], ["/scene", "/scene/sensor/shape"],
+    ]  # fmt: skip
 
 
 def test_by_the_client(
