@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
 from pipeline.physics.constants import ARCSEC_RAD, DEG_RAD
@@ -19,7 +20,9 @@ from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.timing import dwell_of, dwell_plans
 from pipeline.spec.pointing.observer import GroundObserver
 
-HALF_STEP_S = 0.05  # of differences: 3e-7 of the rate of a low orbit at the zenith
+# Of differences: the rate of a direction that turns by t in two half steps errs by t^2 / 12 of it.
+HALF_STEP_S, LEAST_HALF_STEP_S, SHORTER = 0.05, 1e-7, 32.0
+MOST_TURNED = 0.003  # rad: 7.5e-7 of the rate; a low orbit turns by half of it
 
 
 @dataclass(frozen=True)
@@ -66,21 +69,38 @@ def _about(lamp: Lamp, off_axis: Array, corner_rad: float) -> Lamp:
 
 
 def _moving(plan: ResolvedScene, middle_s: Array) -> tuple[Array, Array, Array]:
-    """Apparent directions, their change [1/s] (F, T, 3) and range rates [m/s] (F, T) of targets."""
-    scene = plan.scene
-    around = middle_s[:, None] + [-HALF_STEP_S, HALF_STEP_S]
-    at = moments_at(scene, plan.dut1_s, around.ravel())
-    u, range_m = (
-        np.empty((len(scene.targets), around.size, 3)),
-        np.empty((len(scene.targets), around.size)),
-    )
-    for which in batches(len(scene.targets), around.size):
-        seen, _ = sights(scene, which, at)
-        u[which], range_m[which] = seen.direction_proper, seen.range_m
+    """Apparent directions, their change [1/s] (F, T, 3) and range rates [m/s] (F, T) of targets.
+
+    Central differences, over less time for targets that turn by more than MOST_TURNED within it.
+    """
+    count, frames = len(plan.scene.targets), len(middle_s)
+    u, velocity = np.empty((2, frames, count, 3))
+    range_rate = np.empty((frames, count))
+    which, half_s = np.arange(count), HALF_STEP_S
+    while len(which):
+        before, after, u_of, speed_of, rate_of = _differences(plan, middle_s, which, half_s)
+        u[:, which], velocity[:, which], range_rate[:, which] = u_of, speed_of, rate_of
+        turned = separation(before, after).max(axis=0, initial=0.0)
+        which, half_s = which[turned > MOST_TURNED], half_s / SHORTER
+        if half_s < LEAST_HALF_STEP_S:
+            break
+    return u, velocity, range_rate
+
+
+def _differences(
+    plan: ResolvedScene, middle_s: Array, which: NDArray[np.int64], half_s: float
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Of some targets (W): directions before and after, halfway, their change, the range's."""
+    around = middle_s[:, None] + [-half_s, half_s]
+    at = moments_at(plan.scene, plan.dut1_s, around.ravel())
+    u, range_m = np.empty((len(which), around.size, 3)), np.empty((len(which), around.size))
+    for some in batches(len(which), around.size):
+        seen, _ = sights(plan.scene, which[some].tolist(), at)
+        u[some], range_m[some] = seen.direction_proper, seen.range_m
     before, after = np.swapaxes(u[:, ::2], 0, 1), np.swapaxes(u[:, 1::2], 0, 1)
-    step = 2.0 * HALF_STEP_S
+    step = (around[:, 1] - around[:, 0])[:, None]  # as rounded
     range_rate = (range_m[:, 1::2] - range_m[:, ::2]).T / step
-    return unit(before + after), (after - before) / step, range_rate
+    return before, after, unit(before + after), (after - before) / step[..., None], range_rate
 
 
 def _horizontal(plan: ResolvedScene, at: Moments, observed: Array) -> tuple[Array, Array]:

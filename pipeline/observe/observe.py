@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from numbers import Integral, Real
 from os import PathLike
 
 import numpy as np
@@ -106,8 +107,12 @@ def observe(
 
     Raises BadInput for scenes that cannot be resolved, times that are none, more than `most_rows`.
     """
-    if not 0.0 < least_snr < np.inf:
+    if not isinstance(least_snr, Real) or not 0.0 < least_snr < np.inf:
         raise BadInput("snr", least_snr, "a signal-to-noise ratio above 0")
+    if centroid_seed is not None and not (
+        isinstance(centroid_seed, Integral) and centroid_seed >= 0
+    ):
+        raise BadInput("centroid_seed", centroid_seed, "a whole number, 0 or more")
     at = times_of(scene, times)
     groups, notes = groups_of(scene, at)
     rows = sum(len(g.resolved.scene.targets) - g.first for g in groups) * len(at.frame)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import astropy.coordinates as coord
@@ -131,6 +132,24 @@ def test_rates(cases: Any, ours: Any) -> None:
     angle = 0.5 * (a.position_angle(middle) + middle.position_angle(b)).to_value(u.deg)
     off = (ours["position_angle_deg"] - angle + 90.0) % 180.0 - 90.0  # means over 360 turn by 180
     assert np.abs(off).max() < 0.2
+
+
+@pytest.mark.parametrize("nearest_m", [1e5, 1e3, 100.0])
+def test_rates_of_a_pass_at_10_km_a_second(nearest_m: float) -> None:
+    """Closed forms of an even pass, at its nearest and where it is seen under 45 degrees."""
+    camera = {"kind": "state", "position_m": [7e6, 0, 0], "velocity_m_s": [0, 7546.0, 0]}
+    passing = {"kind": "state", "position_m": [7e6, 0, nearest_m], "velocity_m_s": [0, -2454.0, 0]}
+    scene = night(
+        observer={"kind": "orbit", "orbit": camera}, background=None,
+        targets=[{"name": "ball", "orbit": passing, "body": BALL | {"diameter_m": 0.01}}],
+        pointing={"mode": "sidereal", "boresight_ra_deg": 90.0, "boresight_dec_deg": 0.0},
+        exposure={"integration_s": 1e-6, "frames": 1},
+    )  # fmt: skip
+    told = observe(parse_scene(scene), [0.0, nearest_m / 1e4]).table.to_pydict()
+    rate = 1e4 / nearest_m * ARCSEC
+    assert told["rate_arcsec_s"] == pytest.approx([rate, rate / 2.0], rel=1e-3)
+    slowly = [0.0, 1e4 / math.sqrt(2.0)]
+    assert told["range_rate_m_s"] == pytest.approx(slowly, rel=1e-3, abs=10.0)
 
 
 @pytest.mark.parametrize(

@@ -283,3 +283,15 @@ def test_daylight_begins_where_the_sky_is_not_known() -> None:
     assert ((up > -12.0) & (up < -3.0)).sum() > 5
     found = [word == "daylight" for word in by_hours(*hours, background={"airglow": True})]
     assert found == (up > -12.0).tolist()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"least_snr": 0.0}, {"least_snr": "5"}, {"centroid_seed": -1}, {"centroid_seed": 1.5}],
+)
+def test_limits_and_seeds_of_python_are_checked(wrong: dict[str, Any]) -> None:
+    ball = {"name": "ball", "orbit": in_high_orbit(250.0), "body": BALL}
+    scene = parse_scene(night(targets=[ball], pointing=TRACK))
+    with pytest.raises(BadInput, match=f"{next(iter(wrong)).removeprefix('least_')}: "):
+        observe(scene, **wrong)
+    assert observe(scene, least_snr=np.float32(5.0), centroid_seed=np.int64(3)).table.num_rows == 3  # type: ignore[arg-type]
