@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.errors import BadInput
 from pipeline.physics.constants import DEG_RAD
 from pipeline.physics.positions.earth import gcrs_to_itrs
 from pipeline.physics.positions.times import instants
@@ -20,6 +21,7 @@ Array = NDArray[np.float64]
 
 RING_M = 42_164_172.0  # radius of the geostationary ring
 RING_PLACES = 721  # at which its distance is looked at
+MOST_FIELDS = 1_000_000  # of a pattern
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,10 @@ def round_of(watcher: Watcher, pattern: SearchPattern, slew: Slewing) -> Round:
     stride = min(height, width) * (1.0 - pattern.overlap)
     span_deg = pattern.to_deg - pattern.from_deg
     seen = span_deg * DEG_RAD * _seen_share(watcher, pattern, height)
-    count = max(1, int(np.ceil(seen / stride)))
+    if not (wished := seen / stride) <= MOST_FIELDS:
+        told = f"{wished:.3g} fields of {watcher.name}, {stride / DEG_RAD:.3g} deg apart"
+        raise BadInput("tasking", told, f"at most {MOST_FIELDS}: a larger field, a shorter pattern")
+    count = max(1, int(np.ceil(wished)))
     step, rate = seen / count if count > 1 else 0.0, slew.rate_deg_s * DEG_RAD
     at_deg = pattern.from_deg + (np.arange(count) + 0.5) * span_deg / count
     ends = axes_of_fields(watcher, watcher.watch(np.zeros(2)), pattern, at_deg[[0, -1]])[:, 2]

@@ -99,7 +99,8 @@ def task_window(course: StudyCourse, c: Candidates, state: SensorState) -> Taken
     Rounds: in each step the sensors that are free before its end take one object each, until none
     is; with `greedy` one after another, with `assignment` together at the largest sum of scores
     (Kuhn 1955; scipy's linear_sum_assignment). A score is priority x overdue x chance over the
-    seconds that it takes; overdue is the time since the last detection over the revisit time.
+    seconds that it takes; overdue is the time since the last detection over the revisit time. What
+    would end after the period is not taken.
     """
     rule = course.study.tasking
     assert isinstance(rule, CuedTasking)
@@ -128,6 +129,7 @@ class _Clerk:
         self.rate = np.array([s.rate_deg_s * DEG_RAD for s in slews])
         self.fixed = np.array([s.settle_s for s in slews])
         self.fixed += [course.watchers[j].dwell_s for j in course.units]
+        self.until_s = course.steps * course.study.step_s  # what ends later is not taken
         self.gone = np.zeros(len(course.elements), bool)  # in the step
         self.book: list[tuple[int, int, float, float, bool]] = []
 
@@ -162,7 +164,9 @@ class _Clerk:
         if state.direction[unit_].any():
             turn = separation(state.direction[unit_], c.direction[rows])
         length = turn / self.rate[unit_] + self.fixed[unit_]
-        return rows, self.priority[object_] * overdue * c.chance[rows] / length, length
+        score = self.priority[object_] * overdue * c.chance[rows] / length
+        ends = now_s + length <= self.until_s
+        return rows[ends], score[ends], length[ends]
 
     def _take(self, unit_: int, row: int, now_s: float, took_s: float) -> None:
         c, one = self.c, np.array([row])

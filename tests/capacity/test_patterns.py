@@ -87,6 +87,21 @@ def test_fields_follow_each_other(course: Any) -> None:
     np.testing.assert_allclose(slots.frame_s, [-2.0, 0.0, 2.0])
 
 
+def test_more_fields_than_are_held_are_refused(
+    course: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of fields of an arcsecond along the sky."""
+    count, _ = places(60.0)
+    for most, ok in ((count, True), (count - 1, False), (0, False)):
+        monkeypatch.setattr("pipeline.capacity.fields.MOST_FIELDS", most)
+        made = course(pattern="fence", from_deg=20.0, to_deg=80.0, azimuth_deg=110.0)
+        if ok:
+            assert made.rounds[0].fields == count
+            continue
+        with pytest.raises(BadInput, match=r"^tasking: .* fields of .*at most"):
+            _ = made.rounds
+
+
 @pytest.mark.parametrize("first", [0, 3, 6])
 def test_no_dwell_is_lost_between_windows(first: int) -> None:
     """Wherever in a round a window begins and ends."""

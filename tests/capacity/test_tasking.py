@@ -25,16 +25,18 @@ HOUR_S, STEP_S, DWELL_S, SETTLE_S = 3600.0, 60.0, 10.0, 5.0
 SURE, HOPELESS = 1.0, 1e-12  # chances; draws lie between
 
 
-def course(units: int, objects: int, seed: int = 0, **tasking: Any) -> Any:
-    """Single sensors side by side that turn by 1 deg/s, and objects A, B, ... wanted hourly."""
-    slewing = {"rate_deg_s": 1.0, "settle_s": SETTLE_S}
+def course(
+    units: int, objects: int, seed: int = 0, rate_deg_s: float = 1.0, **tasking: Any
+) -> Any:
+    """Single sensors side by side, and objects A, B, ... wanted hourly; a hundred steps."""
+    slewing = {"rate_deg_s": rate_deg_s, "settle_s": SETTLE_S}
     study = parse_study(SMALL | {
         "seed": seed, "tasking": {"kind": "cued", "revisit_h": 1.0} | tasking,
         "sensors": [SMALL["sensors"][0] | {"count": units, "slewing": slewing}],
     })  # fmt: skip
     names = np.array([chr(ord("A") + k) for k in range(objects)])
     return SimpleNamespace(
-        study=study, units=np.zeros(units, np.int64), watchers=[SimpleNamespace(dwell_s=DWELL_S)],
+        study=study, units=np.zeros(units, np.int64), steps=100, watchers=[SimpleNamespace(dwell_s=DWELL_S)],
         elements=Objects(names, np.arange(objects) + 100),
     )  # fmt: skip
 
@@ -127,6 +129,17 @@ def test_score(chance: list[float], ages_h: list[float], first: str) -> None:
     own.last_s[:] = -np.array(ages_h) * HOUR_S
     c = candidates([0], [0.0, 0.0, 0.0], chance)
     assert told(c, task_window(course(1, 3), c, own))[0][1] == first
+
+
+@pytest.mark.parametrize(("rate_deg_s", "taken"), [(1.0, "BA"), (0.2, "B"), (1e-300, "B")])
+def test_what_would_end_after_the_period_is_not_taken(rate_deg_s: float, taken: str) -> None:
+    """In the last step of a study: a turn by 30 degrees takes 30 s, 150 s, or an age."""
+    rules = [{"name_contains": "B", "priority": 2.0}]
+    asked, own = course(1, 2, rate_deg_s=rate_deg_s, rules=rules), state(1, 2)
+    c = candidates([asked.steps - 1], [0.0, 30.0], SURE)
+    found = told(c, task_window(asked, c, own))
+    assert "".join(one[1] for one in found) == taken
+    assert own.free_s[0] <= asked.steps * asked.study.step_s
 
 
 def test_what_is_not_detected_stays_overdue() -> None:
