@@ -21,7 +21,7 @@ from pipeline.inputs.earth_orientation import gather_dut1_s, with_pole
 from pipeline.inputs.targets.populations import screened
 from pipeline.lazily import blank_figure, need_matplotlib
 from pipeline.physics.constants import DEG_RAD
-from pipeline.physics.positions.times import format_utc, parse_utc
+from pipeline.physics.positions.times import check_dates, format_utc, parse_utc
 from pipeline.physics.radiometry import (
     ResponseCurve,
     ab_photon_rate,
@@ -100,8 +100,10 @@ def light_curves(
     """
     if stop_s is None:
         stop_s = end_s(scene)
-    if not (math.isfinite(start_s) and math.isfinite(stop_s) and stop_s > start_s):
+    check_dates(parse_utc(scene.epoch), start_s, "--start")
+    if not (math.isfinite(stop_s) and stop_s > start_s):
         raise BadInput("--stop", stop_s, f"a time after the start, {start_s:g} s")
+    check_dates(parse_utc(scene.epoch), stop_s, "--stop")
     if not 2 <= points <= MOST_POINTS:
         raise BadInput("--points", points, f"2 to {MOST_POINTS}")
     own = {t.name for t in scene.targets}

@@ -262,6 +262,9 @@ def test_the_earth_in_between() -> None:
         ("ball", (0.0, float("nan"), 10), "--stop"),
         ("ball", (0.0, 10.0, 1), "--points"),
         ("ball", (5.0, 5.0, 10), "--stop"),
+        ("ball", (float("nan"), 10.0, 10), "--start"),
+        ("ball", (-1e10, 10.0, 10), "--start: '-1e\\+10 s after the epoch'"),
+        ("ball", (0.0, 1e300, 10), "--stop: '1e\\+300 s after the epoch'"),
     ],
 )
 def test_mistakes(name, times, message) -> None:

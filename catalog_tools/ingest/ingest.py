@@ -162,10 +162,11 @@ def list_files(sources: Sequence[str | Path]) -> tuple[list[Path], int]:
     Also how many subfolders were not looked into, as they are no sources themselves.
     """
     paths: list[Path] = []
+    for source in map(Path, sources):
+        if not source.exists():  # nor does a link that leads to itself
+            raise BadInput("source", str(source), "a file or folder that exists")
     named, left_out = {Path(source).resolve() for source in sources}, 0
     for source in map(Path, sources):
-        if not source.exists():
-            raise BadInput("source", str(source), "a file or folder that exists")
         inside, below = ([source], []) if source.is_file() else _inside(source)
         paths += inside
         left_out += sum(p.resolve() not in named for p in below)

@@ -17,7 +17,7 @@ from pipeline.capacity.fields import Round, axes_of_fields, round_of
 from pipeline.errors import BadInput
 from pipeline.physics.constants import DAY_S
 from pipeline.physics.detection import snr_of, threshold_sigma
-from pipeline.physics.positions.times import parse_utc
+from pipeline.physics.positions.times import check_dates, parse_utc
 from pipeline.physics.vectors import from_angles
 from pipeline.plan.targets.orbit_age import sensor_remarks
 from pipeline.spec.pointing.observer import GroundObserver
@@ -162,6 +162,7 @@ def make_course(data: JsonObject, out: Path) -> StudyCourse:
     """The course of a study's plain data. BadInput for what it cannot have."""
     study = parse_study(data)
     epoch = parse_utc(study.start, "start")
+    check_dates(epoch, study.duration_h * 3600.0, "start")
     watchers = tuple(_watcher(data, study, i, epoch) for i in range(len(study.sensors)))
     elements, census = _elements(study, epoch)
     census.unmet += (*_unnamed(study, elements), *_rounded(study))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
-from pipeline.physics.positions.times import elapsed_s, parse_utc
+from pipeline.physics.positions.times import check_dates, elapsed_s, parse_utc
 from pipeline.plan.timing import frame_count, frame_times
 from pipeline.spec.scene import Scene
 
@@ -55,6 +55,7 @@ def times_of(scene: Scene, asked: str | PathLike[str] | Iterable[str | float] | 
     if (np.diff(wanted) <= 0.0).any():
         late = wanted[int(np.argmax(np.diff(wanted) <= 0.0)) + 1]
         raise BadInput("times", f"{late:g} s", "times that rise from one to the next")
+    check_dates(parse_utc(scene.epoch), wanted[[0, -1]], "times")
     like = np.searchsorted(0.5 * (middle[1:] + middle[:-1]), wanted).astype(np.int64)
     return Times(like, wanted, wanted - middle[like], False)
 

@@ -16,6 +16,7 @@ from pipeline.spec.strict import Strict
 SCHEMA = "nightglass/sweep/1"
 METRICS = ("snr", "background", "limiting_magnitude", "saturation", "detection", "timing")
 MOST_POINTS, MOST_AXES, MOST_VALUES = 10_000_000, 32, 100_000
+MOST_WHOLE = 2**50  # of an axis of whole numbers: doubles and their shares hold these exactly
 MOST_DRAWN = 40_000_000  # numbers of a Latin hypercube: it is drawn whole
 FIXED = ("schema", "name", "output")  # what every point has in common
 
@@ -71,6 +72,17 @@ class RangeAxis(Strict):
     stop: float
     count: int | None = Field(None, ge=1, le=MOST_VALUES)
     integer: bool = False
+
+    @model_validator(mode="after")
+    def _whole_numbers_are_exact(self) -> RangeAxis:
+        for name in ("start", "stop") if self.integer else ():
+            if abs(getattr(self, name)) > MOST_WHOLE:
+                raise PydanticCustomError(
+                    "whole",
+                    f"allowed: {-MOST_WHOLE} to {MOST_WHOLE}; list larger ones",
+                    {"field": name},
+                )
+        return self
 
     @model_validator(mode="after")
     def _logarithms_are_of_positives(self) -> RangeAxis:

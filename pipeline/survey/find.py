@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from pipeline.errors import BadInput
 from pipeline.inputs.pointing_tables import gather_pointing
 from pipeline.physics.constants import DAY_S, SPEED_OF_LIGHT_M_S
 from pipeline.physics.positions.apparent import unaberrate
-from pipeline.physics.positions.times import elapsed_s, format_utc, instants, parse_utc
+from pipeline.physics.positions.times import check_dates, elapsed_s, format_utc, instants, parse_utc
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.pointing.attitude_motion import motion_plan
 from pipeline.plan.targets.orbit_age import old_elements, sensor_remarks
@@ -77,6 +78,8 @@ def find(scene: Scene, request: FindOptions, workers: int | None = None) -> Foun
         raise BadInput("populations", "none", "at least one file of element sets to look through")
     _check(request)
     epoch = parse_utc(request.at, "--at") if request.at is not None else parse_utc(scene.epoch)
+    looked_s = [-DAY_S / 2, 1.5 * DAY_S] if request.night else [0.0, request.hours * 3600.0]
+    check_dates(epoch, looked_s, "--at")
     watcher = _watcher(scene, request, epoch)
     offsets = _offsets(watcher, request)
     middle = (epoch[0], epoch[1] + 0.5 * float(offsets[0] + offsets[-1]) / DAY_S)
@@ -101,9 +104,9 @@ def find(scene: Scene, request: FindOptions, workers: int | None = None) -> Foun
 def _check(request: FindOptions) -> None:
     """BadInput for steps, hours or an SNR that are none."""
     for name, value in (("--step", request.step_s), ("--snr", request.least_snr)):
-        if not 0.0 < value < math.inf:
+        if not isinstance(value, Real) or not 0.0 < value < math.inf:
             raise BadInput(name, value, "a number above 0")
-    if not 0.0 <= request.hours < math.inf:
+    if not isinstance(request.hours, Real) or not 0.0 <= request.hours < math.inf:
         raise BadInput("--hours", request.hours, "a number from 0")
 
 

@@ -258,6 +258,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
      "^tasking.to_deg: 60 is not accepted; allowed: above from_deg = 60"),
     ({"seeds": 500, "axes": [{"field": "sensors.0.count", "values": [1, 2, 3]}]},
      "^axes: .*allowed: up to 1000 points$"),
+    ({"start": "2100-12-31T23:00:00Z", "duration_h": 2.0}, "^start: '7200 s after the epoch'"),
 ]  # fmt: skip
 
 

@@ -36,7 +36,8 @@ def course(
     })  # fmt: skip
     names = np.array([chr(ord("A") + k) for k in range(objects)])
     return SimpleNamespace(
-        study=study, units=np.zeros(units, np.int64), steps=100, watchers=[SimpleNamespace(dwell_s=DWELL_S)],
+        study=study, units=np.zeros(units, np.int64), steps=100,
+        watchers=[SimpleNamespace(dwell_s=DWELL_S)],
         elements=Objects(names, np.arange(objects) + 100),
     )  # fmt: skip
 

@@ -174,6 +174,12 @@ def test_a_camera_from_a_file(times: str | None, tmp_path: Path) -> None:
         assert np.allclose(tables[0][name], tables[1][name], rtol=0.0, atol=within), name
 
 
+@pytest.mark.parametrize("far", [[0.0, 1e10], [-1e10, 0.0]])
+def test_times_beyond_all_dates_are_named(far: list[float]) -> None:
+    with pytest.raises(BadInput, match=r"times: .*s after the epoch.*1900 to 2100"):
+        observe(parse_scene(night()), far)
+
+
 def test_times_that_a_file_does_not_cover_are_named(tmp_path: Path) -> None:
     of_file, _ = from_file_and_state(tmp_path, "low", 7.0e6, np.arange(-50.0, 1000.0, 10.0))
     scene = parse_scene(night(targets=[{"name": "ball", "orbit": of_file, "body": BALL}]))

@@ -167,6 +167,11 @@ def test_an_empty_field_says_where_to_look() -> None:
         (FindOptions(hours=1e4), "--hours: 10000.0"),
         (FindOptions(hours=5.0, night=True), "--hours: '5 with --night' is not .*: one of the two"),
         (FindOptions(hours=50.0, step_s=1.0), "--step: 1.0"),
+        (FindOptions(hours="3"), "--hours: '3'"),  # type: ignore[arg-type]
+        (FindOptions(step_s="3"), "--step: '3'"),  # type: ignore[arg-type]
+        (FindOptions(least_snr=None), "--snr: None"),  # type: ignore[arg-type]
+        (FindOptions(at="2100-12-31T23:59:00Z", hours=3.0), "--at: '10800 s after the epoch'"),
+        (FindOptions(at="1900-01-01T00:00:00Z", night=True), "--at: '-43200 s after the epoch'"),
     ],
 )
 def test_bad_input_is_one_line(wish: FindOptions, text: str) -> None:

@@ -527,6 +527,9 @@ BAD = {
     "log of zero": (
         [{"field": "sensor.read_noise_e", "kind": "log_range", "start": 0, "stop": 1, "count": 2}],
         {}, "axes.0.start"),
+    "whole numbers that doubles do not hold": (
+        [{"field": "seed", "kind": "range", "start": 0, "stop": 2**53, "count": 4,
+          "integer": True}], {}, "axes.0.stop"),
     "no count": (
         [{"field": "sensor.read_noise_e", "kind": "range", "start": 0, "stop": 1}], {},
         "axes.0.count"),

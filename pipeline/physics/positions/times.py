@@ -102,6 +102,14 @@ def instants(epoch_utc: tuple[float, float], offsets_s: ArrayLike, dut1_s: float
     return Instants(utc1, utc2, tt1, tt2, ut11, ut12)
 
 
+def check_dates(epoch_utc: tuple[float, float], offsets_s: ArrayLike, field: str) -> None:
+    """BadInput as of `instants`, by the name of the field that gives the times."""
+    try:
+        instants(epoch_utc, offsets_s)
+    except BadInput as error:
+        raise BadInput(field, error.value, error.allowed) from None
+
+
 def elapsed_s(
     since_utc: tuple[float, float], until_utc1: ArrayLike, until_utc2: ArrayLike
 ) -> Array:

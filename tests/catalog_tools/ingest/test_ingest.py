@@ -587,8 +587,10 @@ def test_bad_sources(tmp_path, parts):
     cases = [
         ([], "at least one"),
         ([tmp_path / "absent"], "exists"),
+        ([tmp_path / "loop"], "exists"),
         ([files[0], files[0]], "once"),
     ]
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
     (tmp_path / "hollow").mkdir()
     cases.append(([tmp_path / "hollow"], "a folder with"))
     (tmp_path / "twin.csv.gz").write_bytes(files[1].read_bytes())
