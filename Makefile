@@ -19,8 +19,7 @@ test: $(VENV)/.tests
 	$(BIN)/ruff format --check $(PACKAGES)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	# Tests wait for servers and processes: three at a time keep two cores busy.
-	$(BIN)/pytest -m "not slow" -n 3 --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 test-slow: $(VENV)/.tests
 	$(BIN)/pytest -m slow --hypothesis-profile search

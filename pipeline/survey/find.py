@@ -78,8 +78,8 @@ def find(scene: Scene, request: FindOptions, workers: int | None = None) -> Foun
         raise BadInput("populations", "none", "at least one file of element sets to look through")
     _check(request)
     epoch = parse_utc(request.at, "--at") if request.at is not None else parse_utc(scene.epoch)
-    looked_s = [-DAY_S / 2, 1.5 * DAY_S] if request.night else [0.0, request.hours * 3600.0]
-    check_dates(epoch, looked_s, "--at")
+    end_s = min(request.hours, MOST_HOURS) * 3600.0  # more are refused by their name
+    check_dates(epoch, [-DAY_S / 2, 1.5 * DAY_S] if request.night else [0.0, end_s], "--at")
     watcher = _watcher(scene, request, epoch)
     offsets = _offsets(watcher, request)
     middle = (epoch[0], epoch[1] + 0.5 * float(offsets[0] + offsets[-1]) / DAY_S)

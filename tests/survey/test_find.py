@@ -167,6 +167,7 @@ def test_an_empty_field_says_where_to_look() -> None:
         (FindOptions(hours=1e4), "--hours: 10000.0"),
         (FindOptions(hours=5.0, night=True), "--hours: '5 with --night' is not .*: one of the two"),
         (FindOptions(hours=50.0, step_s=1.0), "--step: 1.0"),
+        (FindOptions(hours=1e300), "--hours: 1e.300 .* 0 to 72"),
         (FindOptions(hours="3"), "--hours: '3'"),  # type: ignore[arg-type]
         (FindOptions(step_s="3"), "--step: '3'"),  # type: ignore[arg-type]
         (FindOptions(least_snr=None), "--snr: None"),  # type: ignore[arg-type]
