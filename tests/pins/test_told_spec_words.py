@@ -65,7 +65,7 @@ def test_errors_and_their_codes() -> None:
 
 
 def test_options_that_commands_share(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     lines: list[str] = []
     for name, said in vars(options).items():
@@ -75,6 +75,9 @@ def test_options_that_commands_share(
         lines.append(f"{place}: {told(lambda p=place: options.local_path(p))}")
     for wish in ((None, None, False), (["a=1"], ["sun", "moon"], True), ([], [], True)):
         lines.append(f"{wish}: {options.overrides_of(*wish)}")
+    assert "out: nothing was begun" in told(lambda: interrupted(True))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
     for words in (["render", "a b.yaml", "--replace", "-o", "x"], ["sweep", "--resume", "s"]):
         for resumes in (True, False):
             monkeypatch.setattr(sys, "argv", ["nightglass", *words])
