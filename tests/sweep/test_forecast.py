@@ -12,7 +12,9 @@ import pytest
 from pipeline.commands import sweep as command
 from pipeline.errors import BadInput
 from pipeline.route.run import Options
+from pipeline.sweep.dependence import light_is_shared
 from pipeline.sweep.forecast import forecast_course
+from pipeline.sweep.points import scene_of
 from pipeline.sweep.run import gather_course, run_course
 from pipeline.sweep.stages import stages
 from tests.command import nightglass
@@ -57,6 +59,21 @@ def test_points_with_detector_extras_share_nothing(sweep_file: Any, tmp_path: Pa
     file = sweep_file(AXES[2:], {"sensor.detector": {"prnu": 0.01}})
     told = forecast_course(gather_course(file, tmp_path / "out"))
     assert told["different"] == dict.fromkeys(("plans", "stars", "targets", "sky"), 2)
+
+
+JITTER = {"kind": "white", "rms_arcsec": 2.0, "low_hz": 0.01, "high_hz": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("changes", "shared"),
+    [({}, True), ({"sensor.detector": {"prnu": 0.01}}, False),
+     ({"pointing.attitude": {"jitter": [JITTER]}}, False)],
+)  # fmt: skip
+def test_light_that_the_seed_changes_is_not_shared(
+    changes: Any, shared: bool, sweep_file: Any, tmp_path: Path
+) -> None:
+    course = gather_course(sweep_file(AXES[2:], changes), tmp_path / "out")
+    assert light_is_shared(scene_of(course, course.design, 0)) is shared
 
 
 @pytest.mark.parametrize("design", [{"kind": "grid"}, {"kind": "sobol", "points": 8}])
