@@ -11,6 +11,7 @@ from pipeline.commands.options import Json, Output, print_json
 from pipeline.commands.pages import is_quiet, stage_progress
 from pipeline.studies.accuracy import report as accuracy
 from pipeline.studies.accuracy import tables as accuracy_tables
+from pipeline.studies.written import with_nulls
 
 
 def report_accuracy(
@@ -27,6 +28,6 @@ def report_accuracy(
             output, stars, quick=quick, peers=peers, satsim_python=satsim_python, progress=listen
         )
     if as_json:
-        print_json(study)
+        print_json(with_nulls(study))
     else:
         accuracy_tables.print_study(study)

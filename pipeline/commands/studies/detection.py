@@ -12,6 +12,7 @@ from pipeline.commands.pages import is_quiet, stage_progress
 from pipeline.commands.product import ProductPath
 from pipeline.studies.detection import study as detection
 from pipeline.studies.detection import tables as detection_tables
+from pipeline.studies.written import with_nulls
 
 
 def report_detection(
@@ -25,6 +26,6 @@ def report_detection(
     with stage_progress(is_quiet(as_json)) as listen:
         study = detection.report_detection(product, output, threshold, frames, listen)
     if as_json:
-        print_json(study)
+        print_json(with_nulls(study))
     else:
         detection_tables.print_study(study)

@@ -10,6 +10,7 @@ import typer
 from pipeline.commands.options import Json, Output, print_json
 from pipeline.commands.pages import is_quiet, stage_progress
 from pipeline.studies.ledger import report as ledger
+from pipeline.studies.written import with_nulls
 
 
 def report_ledger(
@@ -23,6 +24,6 @@ def report_ledger(
     with stage_progress(is_quiet(as_json)) as listen:
         study = ledger.report_ledger(output, tuple(rule or ()), listen)
     if as_json:
-        print_json(study)
+        print_json(with_nulls(study))
     else:
         ledger.print_ledger(study)

@@ -11,6 +11,7 @@ from pipeline.commands.options import Json, Output, print_json
 from pipeline.commands.pages import is_quiet, stage_progress
 from pipeline.studies.scenes import report as scenes
 from pipeline.studies.scenes import tables as scene_tables
+from pipeline.studies.written import with_nulls
 
 
 def report_scenes(
@@ -31,6 +32,6 @@ def report_scenes(
     with stage_progress(is_quiet(as_json)) as listen:
         study = scenes.report_scenes(output, tuple(scene or ()), levels, quick, catalog, listen)
     if as_json:
-        print_json(study)
+        print_json(with_nulls(study))
     else:
         scene_tables.print_study(study)

@@ -201,10 +201,11 @@ def test_scenes_and_levels_of_the_command(monkeypatch, tmp_path):
     """They reach the study, where a scene that is named twice is one."""
     asked = []
     monkeypatch.setattr("pipeline.commands.studies.scenes.scenes.report_scenes",
-                        lambda *given: asked.append(given[:5]) or {})  # fmt: skip
+                        lambda *given: asked.append(given[:5]) or {"sigma": math.nan})  # fmt: skip
     words = ["--scene", "wide-field", "--scene", "earth-limb", "--levels", "0.5,0.05", "--json"]
     done = CliRunner().invoke(app, ["report", "scenes", "-o", str(tmp_path), *words])
     assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout) == {"sigma": None}
     names = ("wide-field", "earth-limb")
     assert asked == [(tmp_path, names, "0.5,0.05", False, None)]
     assert [r.name for r in scenes.requests((*names, "wide-field"), True)] == list(names)
