@@ -35,9 +35,8 @@ class Checked:
 def judge_course(course: Course) -> None:
     """BadInput for what `check` refuses and no point has to be planned for: values of axes that no
     scene takes, and names of targets that are not there."""
-    design = course.design
-    check_axes(design, course.data, partial(parse_scene, base=Path(course.base_folder)))
-    if not (first := scene_of(course, design, 0)).populations:
+    _try_axes(course)
+    if not (first := scene_of(course, course.design, 0)).populations:
         _measured(course, [first])
 
 
@@ -49,7 +48,7 @@ def check(course: Course, options: Options | None = None) -> Checked:
     is refused where none of them can be, a point that fails later is recorded.
     """
     design = course.design
-    check_axes(design, course.data, partial(parse_scene, base=Path(course.base_folder)))
+    _try_axes(course)
     faults: list[NightglassError] = []
     found: list[Prepared] = []
     warnings: dict[str, int] = {}
@@ -70,6 +69,11 @@ def check(course: Course, options: Options | None = None) -> Checked:
         [f"point {point}: {warning}" for warning, point in warnings.items()],
         max(predict(one.plan, one.forecast, one.spent)["cpu_s"] for one in found),
     )
+
+
+def _try_axes(course: Course) -> None:
+    parse = partial(parse_scene, base=Path(course.base_folder))
+    check_axes(course.design, course.data, parse)
 
 
 def _planned(course: Course, point: int, options: Options | None) -> Prepared:

@@ -68,7 +68,7 @@ class Looks:
         """
         asked: JsonObject = {"do": "judge"}
         if sweep is not None:
-            asked["sweep"] = {k: v for k, v in sweep.items() if k != "scene"}
+            asked = {"do": "judge_sweep", "sweep": {k: v for k, v in sweep.items() if k != "scene"}}
         text = json.dumps({k: v for k, v in scene.items() if k not in ("name", "seed")})
         key = team, hashlib.sha256((text + json.dumps(asked)).encode()).digest()
         if (sweep is None and not files_in(text)) or key in self._judged:

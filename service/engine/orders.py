@@ -80,14 +80,18 @@ def _observe(order: JsonObject, _: Say) -> JsonObject:
 
 
 def _judge(order: JsonObject, _: Say) -> JsonObject:
-    sweep = order.get("sweep")
-    with within("scene") if sweep else contextlib.nullcontext():
-        judge(parse_scene(order["scene"]))
-    if sweep:
-        from pipeline.sweep.check import judge_course
-        from pipeline.sweep.run import course_of
+    judge(parse_scene(order["scene"]))
+    return {"outcome": "done"}
 
-        judge_course(course_of(parse_sweep(sweep | {"scene": order["scene"]}), Path.cwd(), Path()))
+
+def _judge_sweep(order: JsonObject, _: Say) -> JsonObject:
+    from pipeline.sweep.check import judge_course
+    from pipeline.sweep.run import course_of
+
+    with within("scene"):
+        judge(parse_scene(order["scene"]))
+    sweep = parse_sweep(order["sweep"] | {"scene": order["scene"]})
+    judge_course(course_of(sweep, Path.cwd(), Path()))
     return {"outcome": "done"}
 
 
@@ -159,6 +163,7 @@ ORDERS: dict[str, Order] = {
     "plan": _plan,
     "forecast": _forecast,
     "judge": _judge,
+    "judge_sweep": _judge_sweep,
     "observe": _observe,
     "render": _begun_anew(_render),
     "study": _begun_anew(_study),

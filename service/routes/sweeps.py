@@ -40,11 +40,10 @@ async def submit(
         sweep, pixel_frames = await run_in_threadpool(
             accept_sweep, data, service.settings, service.has_file
         )
+        await service.looks.judge(request, service.caller.team, sweep["scene"], sweep)
         if dry_run:
             with within("scene"):
                 plan = await service.looks.plan(request, service.caller.team, sweep["scene"])
-        await service.looks.judge(request, service.caller.team, sweep["scene"], sweep)
-        if dry_run:
             points = pixel_frames // pixel_frames_of(sweep["scene"])
             size = {"points": points, "pixel_frames": pixel_frames}
             return JSONResponse(size | {"base": with_time(plan)})

@@ -5,7 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+
+from pipeline.physics.positions.orbit_two_body import two_body
 
 ROOT = Path(__file__).parents[2]
 HIGH = {"kind": "keplerian", "semi_major_axis_m": 4.2164e7, "eccentricity": 0.001,
@@ -48,3 +51,17 @@ def night(**changes: Any) -> dict[str, Any]:
 def population() -> dict[str, Any]:
     path = ROOT / "examples" / "population.tle"
     return {"name": "crowd", "path": str(path), "body": BALL}
+
+
+def from_file_and_state(
+    folder: Path, name: str, radius_m: float, times: np.ndarray
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A circular orbit as a file of rows at some times, and as a state."""
+    start = np.array([radius_m, 0, 0]), np.array([0, np.sqrt(3.986004418e14 / radius_m), 0])
+    rows = np.column_stack([times, *two_body(*start, times)])
+    lines = [",".join(repr(float(v)) for v in row) for row in rows]
+    head = "time_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s"
+    (folder / f"{name}.csv").write_text("\n".join([head, *lines]))
+    of_file = {"kind": "ephemeris", "path": str(folder / f"{name}.csv"), "frame": "gcrs"}
+    place, speed = (v.tolist() for v in start)
+    return of_file, {"kind": "state", "position_m": place, "velocity_m_s": speed}

@@ -14,13 +14,12 @@ from astropy.time import Time
 from pipeline.errors import BadInput
 from pipeline.observe.observe import observe
 from pipeline.physics.positions.earth import earth_and_sun
-from pipeline.physics.positions.orbit_two_body import two_body
 from pipeline.physics.positions.times import instants, parse_utc
 from pipeline.physics.targets.shadow import moon_m
 from pipeline.physics.vectors import to_angles, unit
 from pipeline.plan.pointing.site import place_of
 from pipeline.spec.load import parse_scene
-from tests.observe.conftest import BALL, SITE, in_high_orbit, night
+from tests.observe.conftest import BALL, SITE, from_file_and_state, in_high_orbit, night
 
 EPOCH = "2019-04-20T10:00:00Z"
 DATE = parse_utc(EPOCH)
@@ -136,20 +135,6 @@ def test_a_camera_that_looks_at_the_ground() -> None:
     later = observe(parse_scene(scene), "0,86400,300").counts()
     assert later["below horizon"] > 200
     assert later["in shadow"] > 3
-
-
-def from_file_and_state(
-    folder: Path, name: str, radius_m: float, times: np.ndarray
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A circular orbit as a file of rows at some times, and as a state."""
-    start = np.array([radius_m, 0, 0]), np.array([0, np.sqrt(3.986004418e14 / radius_m), 0])
-    rows = np.column_stack([times, *two_body(*start, times)])
-    lines = [",".join(repr(float(v)) for v in row) for row in rows]
-    head = "time_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s"
-    (folder / f"{name}.csv").write_text("\n".join([head, *lines]))
-    of_file = {"kind": "ephemeris", "path": str(folder / f"{name}.csv"), "frame": "gcrs"}
-    place, speed = (v.tolist() for v in start)
-    return of_file, {"kind": "state", "position_m": place, "velocity_m_s": speed}
 
 
 @pytest.mark.parametrize("times", [None, "-600,3000,400"])

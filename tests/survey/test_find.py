@@ -34,6 +34,7 @@ from pipeline.survey.search import make_search
 from pipeline.survey.sights import Sights, sights_of
 from pipeline.survey.watch import MOST_LIFT_RAD, PROBE, Watcher, make_watcher
 from tests.command import nightglass
+from tests.observe.conftest import from_file_and_state
 from tests.survey.conftest import EPOCH, sections, watcher
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -80,15 +81,8 @@ def test_from_an_orbit_against_brute_force() -> None:
 
 def test_a_watcher_whose_orbit_is_a_file(tmp_path: Path) -> None:
     """It stands where the file has it until the last moment that is looked at."""
-    times = np.arange(-100.0, 3700.0, 10.0)
-    start = np.array([7e6, 0, 0]), np.array([0, np.sqrt(3.986004418e14 / 7e6), 0])
-    rows = np.column_stack([times, *two_body(*start, times)])
-    lines = [",".join(repr(float(v)) for v in row) for row in rows]
-    (tmp_path / "a.csv").write_text("\n".join(["time_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s", *lines]))
-    orbit = {"kind": "ephemeris", "path": str(tmp_path / "a.csv"), "frame": "gcrs"}
+    orbit, state = from_file_and_state(tmp_path, "a", 7e6, np.arange(-100.0, 3700.0, 10.0))
     asked = sections(observer={"kind": "orbit", "orbit": orbit})
-    place, speed = (v.tolist() for v in start)
-    state = {"kind": "state", "position_m": place, "velocity_m_s": speed}
     places = [
         make_watcher(asked | {"observer": {"kind": "orbit", "orbit": one}}, FieldOfRegard(), EPOCH,
                      True, until_s=3600.0).watch(np.array([0.0, 1800.0, 3600.0])).observer_m
