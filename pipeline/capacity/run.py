@@ -126,7 +126,7 @@ def run_study(
         else:
             told = course.forecast | {"remarks": list(course.remarks)}
         _check_room(told, options)
-        _check_forecast(told, options)
+        check_forecast(told, options)
         if begins is not None:
             begins(told)
         if course is None:
@@ -155,7 +155,7 @@ def _run_points(
         row = {"point": point, **values, "status": "done", "message": None}
         try:
             course = make_course(_placed(own, folder), place)
-            _check_forecast(course.forecast, options)
+            check_forecast(course.forecast, options)
         except BadInput as error:
             rows.append(row | {"status": "failed", "message": str(error)})
             continue
@@ -188,7 +188,7 @@ def _hear_point(listen: Listener, point: int, points: int, progress: SweepProgre
     listen(replace(progress, done=done, total=points * progress.total))
 
 
-def _check_forecast(told: JsonObject, options: StudyOptions) -> None:
+def check_forecast(told: JsonObject, options: StudyOptions) -> None:
     """BadInput for a study that is forecast to take longer than is meant."""
     most_cpu_s = options.most_cpu_s or MOST_CPU_S
     if told["cpu_s"] > most_cpu_s and not options.yes:

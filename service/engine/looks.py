@@ -37,6 +37,11 @@ class Looks:
         self._places = Shares(settings.plans, "dry runs")
         self._judged: OrderedDict[tuple[str, bytes], None] = OrderedDict()
 
+    @property
+    def of_study(self) -> JsonObject:
+        """The order of a study's forecast; it is refused where it is beyond a job's limit."""
+        return {"do": "forecast", "most_cpu_s": self._settings.job_cpu_s}
+
     async def plan(self, request: Request, team: str, scene: JsonObject) -> JsonObject:
         """The plan of an accepted scene. PlanRefused, PlanTooSlow, EngineFault, TooMany."""
         asked = {"do": "plan", "most_cpu_s": self._settings.job_cpu_s}
@@ -45,7 +50,7 @@ class Looks:
 
     async def forecast(self, request: Request, team: str, study: JsonObject) -> JsonObject:
         """What an accepted study takes. Raises as `plan` does."""
-        found = await self._answer(request, team, study, {"do": "forecast"})
+        found = await self._answer(request, team, study, self.of_study)
         forecast: JsonObject = found["forecast"]
         return forecast
 
@@ -58,29 +63,30 @@ class Looks:
         return seen
 
     async def judge(
-        self, request: Request, team: str, scene: JsonObject, sweep: JsonObject | None = None
+        self, request: Request, team: str, scene: JsonObject, asked: JsonObject | None = None
     ) -> None:
-        """PlanRefused where an uploaded file is not what the scene says, or where an axis of the
-        sweep of which it is the base is not taken; TooMany.
+        """PlanRefused for what its job would refuse at its start; TooMany.
 
-        A scene that cannot be judged in time is taken: the engine that draws it judges it again.
-        Scenes that differ in name and seed alone are judged once.
+        asked : the order that says so, of what is more than a scene; None: a scene, of which the
+        uploaded files are to be what it says
+        What cannot be judged in time is taken: the engine that runs it judges it again. What
+        differs in name and seed alone is judged once.
         """
-        asked: JsonObject = {"do": "judge"}
-        if sweep is not None:
-            asked = {"do": "judge_sweep", "sweep": {k: v for k, v in sweep.items() if k != "scene"}}
+        if asked is None and not files_in(json.dumps(scene)):
+            return
+        asked = asked or {"do": "judge"}
         text = json.dumps({k: v for k, v in scene.items() if k not in ("name", "seed")})
         key = team, hashlib.sha256((text + json.dumps(asked)).encode()).digest()
-        if (sweep is None and not files_in(text)) or key in self._judged:
+        if key in self._judged:
             return
         limit_s = self._settings.judge_s
         try:
             async with asyncio.timeout(limit_s):
                 await unless_gone(request, self._look(team, scene, asked, limit_s))
         except (TimeoutError, PlanTooSlow):
-            log.info("a scene's files were not judged in %g s; it is taken", limit_s)
+            log.info("a submission was not judged in %g s; it is taken", limit_s)
         except EngineFault as error:
-            log.warning("a scene's files could not be judged (%s); it is taken", error)
+            log.warning("a submission could not be judged (%s); it is taken", error)
         else:
             self._judged[key] = None
             while len(self._judged) > KEPT:

@@ -66,9 +66,11 @@ def _plan(order: JsonObject, _: Say) -> JsonObject:
 
 
 def _forecast(order: JsonObject, _: Say) -> JsonObject:
-    from pipeline.capacity.run import forecast_of
+    from pipeline.capacity.run import StudyOptions, check_forecast, forecast_of
 
-    return {"outcome": "done", "forecast": forecast_of(order["scene"], Path.cwd())}
+    told = forecast_of(order["scene"], Path.cwd())
+    check_forecast(told, StudyOptions(most_cpu_s=order["most_cpu_s"]))
+    return {"outcome": "done", "forecast": told}
 
 
 def _observe(order: JsonObject, _: Say) -> JsonObject:

@@ -20,7 +20,8 @@ STUDY_BODY = json_body("A study: cameras, sensors, a catalogue, a period, taskin
 async def submit(
     request: Request, service: Service, dry_run: DryRun = False, key: IdempotencyKey = None
 ) -> Response:
-    """Queue a study: 202 and where its job is; 200 for a key that was used with this body."""
+    """Queue a study: 202 and where its job is; 200 for a key that was used with this body. With
+    `dry_run` what it takes."""
     check_key(key)
     settings = service.settings
     body = await read_body(request, settings.body_bytes, settings.body_s, TEXTS)
@@ -28,10 +29,11 @@ async def submit(
     data = await run_in_threadpool(parse_text, body, kind)
     try:
         study = await run_in_threadpool(accept_study, data, settings, service.has_file)
+        if dry_run:
+            return JSONResponse(await service.looks.forecast(request, service.caller.team, study))
+        await service.looks.judge(request, service.caller.team, study, service.looks.of_study)
     except NightglassError as error:
         return await made_before(service, None if dry_run else key, body, kind, error)
-    if dry_run:
-        return JSONResponse(await service.looks.forecast(request, service.caller.team, study))
     digest = digest_of(data)
     ask = service.store.ask(study["name"], study, digest, key, kind="study")
     return taken(service, *await service.intake.put(ask))

@@ -40,7 +40,9 @@ async def submit(
         sweep, pixel_frames = await run_in_threadpool(
             accept_sweep, data, service.settings, service.has_file
         )
-        await service.looks.judge(request, service.caller.team, sweep["scene"], sweep)
+        axes = {k: v for k, v in sweep.items() if k != "scene"}
+        asked = {"do": "judge_sweep", "sweep": axes}
+        await service.looks.judge(request, service.caller.team, sweep["scene"], asked)
         if dry_run:
             with within("scene"):
                 plan = await service.looks.plan(request, service.caller.team, sweep["scene"])

@@ -16,6 +16,7 @@ from pipeline.capacity.run import StudyOptions, run_study
 from pipeline.cli import app
 from pipeline.errors import BadInput
 from service.client import Client
+from service.engine.orders import ORDERS
 from service.problems import NotAllowed
 from service.scenes import studies
 from service.scenes.studies import accept_study
@@ -107,6 +108,31 @@ def test_what_a_study_may_not_hold(server: Any) -> None:
     assert post("/v1/studies", json={"schema": "nightglass/study/1"}).status_code == 422
 
 
+@pytest.mark.parametrize("dry_run", [False, True])
+@pytest.mark.parametrize(
+    ("wrong", "pointer", "said"),
+    [
+        ({"axes": [{"field": "sensors.0.nope", "values": [1.0]}]}, "/axes/0", "known keys: "),
+        ({"axes": [{"field": "step_s", "values": [60.0, -1.0]}]}, "/axes/0", "1"),
+        ({"sensors": [SMALL["sensors"][0] | {"cameras": ["no"]}]}, "/sensors/0/cameras", "known"),
+        ({"catalogue": {"populations": [{"path": "sent"}]}}, "/catalogue/populations/0/path", ""),
+    ],
+)
+def test_what_no_study_can_be_is_refused_at_once(
+    wrong: dict[str, Any], pointer: str, said: str, dry_run: bool, server: Any
+) -> None:
+    """By where it stands in the body, as the command line refuses it."""
+    wrong = copy.deepcopy(wrong)
+    for population in wrong.get("catalogue", {}).get("populations", ()):
+        sent = server.client.post("/v1/files?name=two.tle", content=b"1 no\n2 elements\n")
+        population |= {"name": "sent", "path": sent.json()["id"], "body": BODY}
+    answer = server.client.post(f"/v1/studies?dry_run={int(dry_run)}", json=_study(**wrong))
+    assert answer.status_code == 422, answer.text
+    first = answer.json()["errors"][0]
+    assert first["pointer"] == pointer
+    assert said in first["allowed"]
+
+
 def test_limits_of_a_study(tmp_path: Path) -> None:
     """CPU by objects x steps x points, and points, against the settings; no axis goes through
     files or orbits."""
@@ -143,3 +169,12 @@ def test_limits_of_a_study(tmp_path: Path) -> None:
             accept_study(_study(axes=[together]), settings)
     free = {"field": "cameras.0.sensor.quantum_efficiency", "values": [0.5, 0.9]}
     assert accept_study(_study(axes=[free]), settings)["axes"]
+
+
+def test_a_study_is_forecast_within_what_a_job_may_take() -> None:
+    """The least that objects x steps take may be within the limit, and the forecast not."""
+    order: dict[str, Any] = {"do": "forecast", "scene": _study(), "most_cpu_s": 100.0}
+    told = ORDERS["forecast"](order, lambda _: None)["forecast"]
+    assert 1e-4 < told["cpu_s"] < 100.0
+    with pytest.raises(BadInput, match=r"of one core.*shorten it$"):
+        ORDERS["forecast"](order | {"most_cpu_s": 0.9 * told["cpu_s"]}, lambda _: None)
