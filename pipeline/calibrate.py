@@ -38,6 +38,7 @@ from pipeline.store.product import (
     finished_faults,
     seal,
     tiles_of,
+    with_images_of,
 )
 
 if TYPE_CHECKING:
@@ -46,20 +47,23 @@ if TYPE_CHECKING:
 LAYER = "calibrated_e"
 
 
-def calibrate(product: Path, output: Path) -> JsonObject:
+def calibrate(product: Path, output: Path, images: Path | None = None) -> JsonObject:
     """Write a calibrated copy of a complete product; returns its report.
 
     The copy is a product of its own, with the one layer `calibrated_e` [e-, float32], the
     coordinates, truth and scene of the first. The sensor's images are read again from the files
     that the scene names, and generated patterns drawn again from its seed. Raises BadInput for a
     path that exists or a file that is gone or has changed, Incomplete and Damaged for the product.
+
+    images : folder that has those of the files which are gone from their places, by any names
     """
     _check_copied(product)
     cube = open_raw_cube(product)
     check_new(output)
     scene = parse_scene(parse_yaml(str(cube.attrs["scene"]), f"{product}: scene"))
-    check_same_images(product, scene.as_dict())
-    maps = gather_sensor_maps(scene)
+    found = with_images_of(product, scene.as_dict(), images)
+    check_same_images(product, found)
+    maps = gather_sensor_maps(parse_scene(found))
     partial = output.with_name(f"{output.name}.partial")
     try:
         partial.mkdir(parents=True)  # by one of two that run: what is begun is removed by who began

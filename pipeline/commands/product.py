@@ -13,6 +13,14 @@ from pipeline.commands.pages import print_info
 from pipeline.route.run import check as verify
 from pipeline.store.info import describe
 
+Images = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="where flat, dark and other images are, by any names, that are gone from the places "
+        "in the scene: of a product that was fetched from a server, or moved",
+    ),
+]
 ProductPath = Annotated[Path, typer.Argument(help="product directory", metavar="PRODUCT")]
 
 
@@ -38,9 +46,11 @@ def info(product: ProductPath, as_json: Json = False) -> None:
         print_info(product, found)
 
 
-def calibrate(product: ProductPath, output: Output, as_json: Json = False) -> None:
+def calibrate(
+    product: ProductPath, output: Output, images: Images = None, as_json: Json = False
+) -> None:
     """Copy a product with its frames calibrated: less bias and dark, over the flat (electrons)."""
-    report = run(product, output)
+    report = run(product, output, images)
     if as_json:
         print_json(report)
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 import os
@@ -202,6 +203,26 @@ def check_same_images(path: Path, data: JsonObject) -> None:
     for name, file in sensor_images(data):
         if known.get(str(file)) not in (None, file_digest(file)):
             raise BadInput(name, str(file), f"the file as it was when {path} was begun")
+
+
+def with_images_of(path: Path, data: JsonObject, folder: Path | None) -> JsonObject:
+    """Plain data of a product's scene with those of the sensor's images that are gone from their
+    places (the product came from a server, or has moved) taken from a folder, by their content.
+
+    Raises BadInput for one that is not there either, and a folder that is none.
+    """
+    if folder is not None and not folder.is_dir():
+        raise BadInput("--images", str(folder), "a folder")
+    known, data = _identity(path).get("images_sha256", {}), copy.deepcopy(data)
+    files = [file for file in sorted(folder.iterdir()) if file.is_file()] if folder else []
+    there = {file_digest(file): str(file) for file in files}
+    for name, holder, key in path_holders(data):
+        file = holder.get(key)
+        if name.startswith(IMAGES) and isinstance(file, str) and not Path(file).exists():
+            if known.get(file) not in there:
+                raise BadInput(name, file, "a file that exists, or --images DIR with its content")
+            holder[key] = there[known[file]]
+    return data
 
 
 def _is_bare_beginning(path: Path) -> bool:

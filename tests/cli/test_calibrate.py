@@ -136,6 +136,33 @@ def test_refusals(product, tmp_path):
     assert not list(tmp_path.glob("x*"))
 
 
+def test_images_are_found_elsewhere_by_their_content(product, tmp_path):
+    """Of a product that was moved, by any name; what is not there is named, as is no folder."""
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    (kept / "other.txt").write_text("no image")
+    files = [product.parent / f"{name}.npy" for name in ("flat", "dark", "bias")]
+    for file in files:
+        shutil.copy(file, kept / f"my-{file.name}")
+        file.rename(file.with_suffix(".away"))
+    try:
+        calibrate(product, tmp_path / "copy", kept)
+        with pytest.raises(BadInput, match=r"sensor\.bias_dn: .*bias\.npy.*--images DIR with its"):
+            calibrate(product, tmp_path / "x")
+        with pytest.raises(BadInput, match=r"--images: .*nowhere.*; allowed: a folder"):
+            calibrate(product, tmp_path / "x", tmp_path / "nowhere")
+        np.save(kept / "my-bias.npy", np.zeros((300, 280)))
+        done = nightglass("calibrate", product, "-o", tmp_path / "x", "--images", kept)
+    finally:
+        for file in files:
+            file.with_suffix(".away").rename(file)
+    assert done.returncode == 2
+    assert "sensor.bias_dn" in done.stderr
+    assert not list(tmp_path.glob("x*"))
+    light = [open_cube(path)["calibrated_e"].values for path in (tmp_path / "copy", product)]
+    assert np.array_equal(*light, equal_nan=True)
+
+
 @pytest.mark.parametrize("name", ["flat", "bias"])
 def test_another_image_than_the_product_was_rendered_with_is_refused(product, tmp_path, name):
     """Its name is told; a product of an earlier version, without a record of it, is calibrated."""
