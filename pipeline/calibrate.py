@@ -12,7 +12,7 @@ import numpy as np
 from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import MAKE_ROOM, full_disk_told
 from pipeline.arrays import SensorMaps
-from pipeline.errors import BadInput, Damaged, check_new
+from pipeline.errors import BadInput, check_new
 from pipeline.execute.detector import tile_chain
 from pipeline.export.files import layers_of
 from pipeline.export.picture import frame_picture, png_bytes
@@ -25,7 +25,6 @@ from pipeline.spec.scene import Scene
 from pipeline.store import layout
 from pipeline.store.cube import (
     CubeWriter,
-    check_complete,
     finish_cube,
     open_layer,
     open_raw_cube,
@@ -35,11 +34,10 @@ from pipeline.store.product import (
     begin_copy,
     check_same_images,
     content_digest,
-    finished_faults,
-    seal,
     tiles_of,
     with_images_of,
 )
+from pipeline.store.seal import check_complete, check_sealed, seal
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -57,7 +55,8 @@ def calibrate(product: Path, output: Path, images: Path | None = None) -> JsonOb
 
     images : folder that has those of the files which are gone from their places, by any names
     """
-    _check_copied(product)
+    check_complete(product)
+    check_sealed(product)  # the copy would take over, and seal as whole, what is not as written
     cube = open_raw_cube(product)
     check_new(output)
     scene = parse_scene(parse_yaml(str(cube.attrs["scene"]), f"{product}: scene"))
@@ -80,14 +79,6 @@ def calibrate(product: Path, output: Path, images: Path | None = None) -> JsonOb
         shutil.rmtree(partial, ignore_errors=True)
         raise
     return report
-
-
-def _check_copied(product: Path) -> None:
-    """Raise Damaged where the copy would take over, and seal as whole, what is not as written."""
-    check_complete(product)
-    faults = [text for text in finished_faults(product) if not text.startswith(layout.PREVIEW)]
-    if faults:
-        raise Damaged(str(product), "; ".join(faults[:3]))
 
 
 def _write(

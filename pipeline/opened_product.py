@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput, Damaged
@@ -18,7 +17,9 @@ from pipeline.export.files import layers_of
 from pipeline.export.header import fits_header
 from pipeline.lazily import fits
 from pipeline.store import layout
-from pipeline.store.cube import check_complete, open_cube
+from pipeline.store.cube import open_cube
+from pipeline.store.seal import check_complete
+from pipeline.store.truth import read_truth
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -36,8 +37,8 @@ class TruthTables(Mapping[str, pa.Table]):
 
     Parameters
     ----------
-    folder : pathlib.Path
-        The product's folder of truth.
+    product : pathlib.Path
+        Its folder.
 
     Raises
     ------
@@ -47,8 +48,8 @@ class TruthTables(Mapping[str, pa.Table]):
         From `truth[name]`, where the table cannot be read.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, product: Path) -> None:
+        self._product, folder = product, product / layout.TRUTH
         self._names = tuple(name for name in TABLES if (folder / f"{name}.parquet").is_file())
 
     def __getitem__(self, name: str) -> pa.Table:
@@ -58,13 +59,10 @@ class TruthTables(Mapping[str, pa.Table]):
                 name,
                 ", ".join(self) or "nothing: the scene has no sources and no faulty pixels",
             )
-        path = self._folder / f"{name}.parquet"
-        try:
-            return pq.read_table(path.absolute(), page_checksum_verification=True)
-        except MemoryError:
-            raise  # of Arrow, too: no damage
-        except (OSError, pa.ArrowException) as error:
-            raise Damaged(str(path), " ".join(str(error).split())) from None
+        table = read_truth(self._product, name)
+        if table is None:
+            raise Damaged(f"{layout.TRUTH}/{name}.parquet", "gone")
+        return table
 
     def __contains__(self, name: object) -> bool:
         return name in self._names
@@ -148,7 +146,7 @@ class Product:
         TruthTables
             Those of `stars`, `targets`, `cosmic_rays`, `pixels` that the product has.
         """
-        return TruthTables(self.path / layout.TRUTH)
+        return TruthTables(self.path)
 
     @cached_property
     def plan(self) -> JsonObject:

@@ -7,13 +7,12 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pipeline.arrays import seen_ends
 from pipeline.export.response import STEP_PX, arc_nodes, arc_segments
 from pipeline.physics.motion.streak import Box, within
-from pipeline.store.layout import TRUTH
+from pipeline.store.truth import read_truth
 
 Array = NDArray[np.float64]
 
@@ -118,22 +117,24 @@ def frame_labels(
     shape : (rows, columns) of the frame; sources no part of whose path lies in it are omitted
     stars_snr : stars of this signal-to-noise and more are labelled; None: targets alone
     """
-    parts = [_part(product / TRUTH / "targets.parquet", TARGET, frame, shape, 0.0)]
+    parts = [_part(product, TARGET, frame, shape, 0.0)]
     if stars_snr is not None:
-        parts.append(_part(product / TRUTH / "stars.parquet", STAR, frame, shape, stars_snr))
+        parts.append(_part(product, STAR, frame, shape, stars_snr))
     return Labels(
         **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Labels)}
     )
 
 
-def _part(path: Path, kind: int, frame: int, shape: tuple[int, int], least_snr: float) -> Labels:
+def _part(product: Path, kind: int, frame: int, shape: tuple[int, int], least_snr: float) -> Labels:
     """One truth table's rows of a frame that send light and come into it; empty where there is no
     table."""
-    names = {
-        TARGET: ("name", "radius_px", "object_name", "v_mag", "mag_ab"),
-        STAR: ("source_id", "g_mag"),
+    table, *names = {
+        TARGET: ("targets", "name", "radius_px", "object_name", "v_mag", "mag_ab"),
+        STAR: ("stars", "source_id", "g_mag"),
     }[kind]
-    if not path.is_file():
+    wanted = (*_COLUMNS, *names, "visible_fraction")
+    rows = read_truth(product, table, wanted, [("frame", "=", frame)])
+    if rows is None:
         empty = {f.name: np.empty(0) for f in fields(Labels)}
         return Labels(
             **{
@@ -143,11 +144,7 @@ def _part(path: Path, kind: int, frame: int, shape: tuple[int, int], least_snr: 
                 "object_name": np.empty(0, "U80"),
             }
         )
-    path = path.absolute()  # Arrow takes the `run:1` of a relative path for a kind of URL
-    known = pq.read_schema(path).names
-    wanted = [c for c in (*_COLUMNS, *names, "visible_fraction") if c in known]
-    rows = pq.read_table(path, columns=wanted, filters=[("frame", "=", frame)])
-    got = {c: rows[c].to_numpy() for c in wanted}
+    got = {c: rows[c].to_numpy() for c in rows.column_names}
     # products of earlier versions hold none of these
     got.setdefault("radius_px", np.zeros(rows.num_rows))
     got.setdefault("visible_fraction", np.ones(rows.num_rows))

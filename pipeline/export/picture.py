@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from pipeline.lazily import arrow
 from pipeline.store.cube import read_layer
-from pipeline.store.layout import PREVIEW, TRUTH, write_atomically
+from pipeline.store.layout import PREVIEW, write_atomically
+from pipeline.store.truth import read_truth
 
 if TYPE_CHECKING:
     from pipeline.plan.plan import Plan
@@ -110,16 +110,14 @@ def png_bytes(picture: Image.Image) -> bytes:
 
 def _mark_targets(picture: Image.Image, product: Path, frame: int, factor: int) -> None:
     """Green circles round the targets in view that the Earth does not hide."""
-    table = product.absolute() / TRUTH / "targets.parquet"
-    if not table.is_file():
+    rows = read_truth(product, "targets", filters=[("frame", "=", frame), ("in_frame", "=", True)])
+    if rows is None:
         return
-    shown: list[tuple[str, str, float]] = [("frame", "=", frame), ("in_frame", "=", True)]
-    names = arrow().parquet.read_schema(table).names
-    if "visible_fraction" in names:  # not in products of earlier versions
-        shown.append(("visible_fraction", ">", 0.0))
-    rows = arrow().parquet.read_table(table, filters=shown)
     draw = ImageDraw.Draw(picture)
-    for x, y, name in zip(*(rows[c].to_pylist() for c in ("x_px", "y_px", "name")), strict=True):
+    for row in rows.to_pylist():
+        if row.get("visible_fraction", 1.0) <= 0.0:  # not in products of earlier versions
+            continue
+        x, y, name = row["x_px"], row["y_px"], row["name"]
         cx, cy = (x + 0.5) / factor, picture.height - (y + 0.5) / factor
         draw.ellipse([cx - 12, cy - 12, cx + 12, cy + 12], outline=GREEN)
         draw.text((cx + 14, cy - 6), str(name), fill=GREEN)
@@ -127,10 +125,9 @@ def _mark_targets(picture: Image.Image, product: Path, frame: int, factor: int) 
 
 def _mark_cosmic_rays(picture: Image.Image, product: Path, frame: int, factor: int) -> None:
     """Cyan ellipses round the cosmic rays with the most charge, as long as their tracks."""
-    table = product.absolute() / TRUTH / "cosmic_rays.parquet"
-    if not table.is_file():
+    rows = read_truth(product, "cosmic_rays", filters=[("frame", "=", frame)])
+    if rows is None:
         return
-    rows = arrow().parquet.read_table(table, filters=[("frame", "=", frame)])
     rows = rows.sort_by([("electrons", "descending")]).slice(0, MOST_MARKED)
     draw = ImageDraw.Draw(picture)
     names = ("x_in_px", "y_in_px", "x_out_px", "y_out_px")

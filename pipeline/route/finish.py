@@ -36,7 +36,8 @@ from pipeline.store import layout
 from pipeline.store.clock import UNITS
 from pipeline.store.cube import finish_cube
 from pipeline.store.markers import markers_present, read_marker
-from pipeline.store.product import Begun, Cell, cells_digest, cells_of, seal
+from pipeline.store.product import Begun, Cell, cells_digest, cells_of
+from pipeline.store.seal import seal
 from pipeline.store.truth import drop_parts, write_whole
 
 if TYPE_CHECKING:

@@ -17,7 +17,8 @@ from pipeline.spec.scene import Scene
 from pipeline.store import layout, remote
 from pipeline.store.lease import Lease, only_writer_of
 from pipeline.store.place import Claim, Place, Writing
-from pipeline.store.product import Begun, Verdict, finished_faults
+from pipeline.store.product import Begun, Verdict
+from pipeline.store.seal import finished_faults
 
 
 class Bucket(Place):

@@ -18,21 +18,15 @@ from zarr.errors import ZarrUserWarning
 from zarr.storage import LocalStore
 
 from catalog_tools.documents import Arguments, JsonObject
-from pipeline.errors import BadInput, Damaged, Incomplete
+from pipeline.errors import BadInput, Damaged
 from pipeline.physics.noise.converter import dn_type
 from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import Tile, tile_shape
 from pipeline.plan.timing import frame_count
 from pipeline.spec.scene import Scene
-from pipeline.store.layout import (
-    COMPLETE,
-    CUBE,
-    LONG_NAMES,
-    no_product,
-    sync_folder,
-    write_atomically,
-)
+from pipeline.store.layout import CUBE, LONG_NAMES, sync_folder, write_atomically
 from pipeline.store.markers import Marker, cell_checksums, write_marker
+from pipeline.store.seal import check_complete
 from pipeline.store.truth import write_part
 from pipeline.store.whole_chunks import WholeChunks, open_whole
 
@@ -222,7 +216,7 @@ def _crc(content: bytes) -> bytes:
 def open_cube(product: Path) -> xr.Dataset:
     """A complete product's cube as an xarray Dataset; reading a lost chunk raises Damaged.
 
-    Incomplete for a product that is not whole.
+    Raises as `check_complete`.
     """
     check_complete(product)
     return open_whole(LocalStore(product / CUBE, read_only=True))
@@ -234,17 +228,6 @@ def open_raw_cube(product: Path) -> xr.Dataset:
     if "dn" not in cube.data_vars:
         raise BadInput("PRODUCT", str(product), "a product with raw frames (`dn`)")
     return cube
-
-
-def check_complete(product: Path) -> None:
-    """Raise BadInput where a path holds no product, Incomplete where it holds an unfinished one."""
-    if not (product / CUBE).is_dir():
-        raise no_product(product)
-    if not (product / COMPLETE).is_file():
-        raise Incomplete(
-            f"{product}: this product is not complete; go on with `nightglass render SCENE -o "
-            f"{product} --resume`"
-        )
 
 
 def read_layer(product: Path, name: str, frame: int) -> np.ndarray:

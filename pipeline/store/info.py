@@ -6,10 +6,12 @@ import json
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
+from pipeline.errors import Damaged
 from pipeline.spec.load import load_scene
 from pipeline.store import layout
 from pipeline.store.markers import markers_present
 from pipeline.store.product import begun_tiles
+from pipeline.store.seal import check_complete
 
 
 def tiles_done(product: Path) -> tuple[int, int]:
@@ -20,9 +22,14 @@ def tiles_done(product: Path) -> tuple[int, int]:
 
 
 def describe(product: Path) -> JsonObject:
-    """State, size, content, origin of a product; what only a finished one has is None before."""
+    """State, size, content, origin of a product; what only a finished one has is None before.
+
+    Raises BadInput where there is none, Damaged.
+    """
     done, total = tiles_done(product)
     complete = (product / layout.COMPLETE).is_file()
+    if complete:
+        check_complete(product)
     plan = _read(product / layout.PLAN)
     report = _read(product / layout.REPORT) if complete else {}
     scene = _scene(product)
@@ -48,7 +55,13 @@ def describe(product: Path) -> JsonObject:
 
 
 def _read(path: Path) -> JsonObject:
-    return json.loads(path.read_text()) if path.is_file() else {}
+    if not path.is_file():
+        return {}
+    try:
+        found: JsonObject = json.loads(path.read_text())
+    except ValueError as error:
+        raise Damaged(str(path), f"cannot be read ({error})") from None
+    return found
 
 
 def _scene(product: Path) -> JsonObject:

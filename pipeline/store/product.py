@@ -5,10 +5,8 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
-import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -17,7 +15,7 @@ from uuid import uuid4
 
 from catalog_tools.documents import JsonObject
 from catalog_tools.engine.code import code_digest
-from catalog_tools.storage.durable import file_digest, sync, sync_all
+from catalog_tools.storage.durable import file_digest, sync_all
 from pipeline.errors import NO_ROOM, BadInput, Damaged
 from pipeline.plan.plan import Plan
 from pipeline.plan.tiles import tile_shape
@@ -32,17 +30,16 @@ from pipeline.store.markers import (
     place_of,
     read_marker,
 )
+from pipeline.store.seal import FORMAT, finished_faults
 from pipeline.store.truth import drop_parts, part_is_whole
 from pipeline.user_data import user_data_files
 
-FORMAT = "nightglass/product/1"
 CATALOGUES = ("stars.catalogue",)  # fields of files that have digests of their own
 CONTENT_KNOWN = (*CATALOGUES, "populations.", "catalogue.")  # or whose content is in the scene
 IMAGES = tuple(  # fields of files that frames are calibrated with
     f"sensor.{name}"
     for name in ("flat", "dark_e_per_s", "read_noise_e", "gain_e_per_dn", "bias_dn", "detector.")
 )
-SYNCED_AT_ONCE = 16  # a disk takes these in one go
 Cell = tuple[Any, ...]  # layer, frame, row, column, checksum
 
 
@@ -419,72 +416,3 @@ def is_sealed(begun: Begun, tiles: int) -> bool:
     """Whether a product taken up is complete: sealed, its `tiles` whole, and all sealed files."""
     sealed = (begun.path / layout.COMPLETE).is_file()
     return sealed and len(begun.done) == tiles and not finished_faults(begun.path)
-
-
-def finished_faults(path: Path) -> list[str]:
-    """Damage to what `finish` wrote: files named in _COMPLETE with length and digest."""
-    try:
-        sealed = json.loads((path / layout.COMPLETE).read_text())
-        listed, content = dict(sealed["files"]), sealed["content_digest"]
-    except (ValueError, KeyError, TypeError):
-        return [f"{layout.COMPLETE}: not what was written"]
-    faults = []
-    if content != _reported_digest(path):
-        faults.append(f"{layout.COMPLETE}: its content_digest is not that of {layout.REPORT}")
-    for name, digest in listed.items():
-        file = path / name
-        if not file.is_file():
-            faults.append(f"{name}: missing")
-        elif file_digest(file) != digest:
-            faults.append(f"{name}: the digest differs")
-    return faults
-
-
-def _reported_digest(path: Path) -> str | None:
-    """The content digest in a product's report; None where none can be read."""
-    try:
-        return str(json.loads((path / layout.REPORT).read_text())["content_digest"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-
-
-def seal(path: Path, content: str) -> None:
-    """Write _COMPLETE, last of all, with the digests of all files that are no chunks.
-
-    content : the digest of what the product holds
-    They, and all folders, are brought to the disk first; chunks were, before their markers.
-    """
-    names, synced = [], []
-    unsealed = f"{layout.TRUTH}/{layout.PARTS}/"  # removed when the seal stands
-    for folder, _, inside in os.walk(path):
-        for own in inside:
-            name = f"{folder}/{own}"[len(str(path)) + 1 :]
-            if own.startswith(".") and own.endswith(".tmp"):
-                (path / name).unlink()  # of a writer that was killed
-            elif not (_is_vouched_for(name, own) or name.startswith(unsealed)):
-                names.append(name)
-        synced.append(folder)
-    names.sort(key=lambda name: name.split("/"))
-    files = {name: file_digest(path / name) for name in names}
-    synced += [f"{path}/{name}" for name in names]
-    with ThreadPoolExecutor(SYNCED_AT_ONCE) as pool:
-        list(pool.map(_sync_each, (synced[k::SYNCED_AT_ONCE] for k in range(SYNCED_AT_ONCE))))
-    sealed = {"format": FORMAT, "content_digest": content, "files": files}
-    layout.write_atomically(path / layout.COMPLETE, layout.to_json(sealed))
-
-
-def _sync_each(paths: list[str]) -> None:
-    for path in paths:
-        sync(Path(path))
-
-
-def _is_vouched_for(name: str, own: str) -> bool:
-    """Whether the seal leaves a file out: chunks have markers, and these their own checksum."""
-    record = own == layout.COMPLETE or own.startswith(layout.LOCK)
-    return record or name.startswith(f"{layout.MARKERS}/") or has_marker(name)
-
-
-def has_marker(name: str) -> bool:
-    """Whether a file of a product is a chunk of a layer, which its tile's marker vouches for."""
-    parts = name.split("/")  # cube.zarr / layer / c / frame / row / column
-    return len(parts) == 6 and parts[0] == layout.CUBE and parts[1] in layout.LONG_NAMES

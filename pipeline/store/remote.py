@@ -32,11 +32,11 @@ from pipeline.store.product import (
     begin,
     check,
     check_same,
-    has_marker,
     identity_in,
     identity_of,
     truth_parts,
 )
+from pipeline.store.seal import has_marker
 from pipeline.store.truth import is_whole, part_content, part_path
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -49,6 +49,33 @@ def write_whole(product: Path, kind: str, table: pa.Table) -> int:
     with whole_file(product / TRUTH / f"{kind}.parquet") as own:
         arrow().parquet.write_table(table, own, **_options(table.schema))
     return int(table.num_rows)
+
+
+def read_truth(
+    product: Path,
+    kind: str,
+    columns: Sequence[str] | None = None,
+    filters: Sequence[tuple[str, str, object]] | None = None,
+) -> pa.Table | None:
+    """truth/KIND.parquet; None where the product has none. Damaged where it cannot be read.
+
+    columns : those that are wanted, of which products of earlier versions hold fewer; None: all
+    filters : as pyarrow takes them
+    """
+    path = (product / TRUTH / f"{kind}.parquet").absolute()  # or Arrow takes `run:1` for a URL
+    if not path.is_file():
+        return None
+    pa = arrow()
+    try:
+        known = pa.parquet.read_schema(path).names
+        wanted = known if columns is None else [name for name in columns if name in known]
+        return pa.parquet.read_table(
+            path, columns=wanted, filters=filters and list(filters), page_checksum_verification=True
+        )
+    except MemoryError:
+        raise  # of Arrow, too: no damage
+    except (OSError, pa.ArrowException) as error:
+        raise Damaged(str(path), " ".join(str(error).split())) from None
 
 
 def part_is_whole(product: Path, kind: str, frame: int) -> bool:

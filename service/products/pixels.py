@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from PIL import Image
 
 from catalog_tools.documents import JsonObject
@@ -18,6 +17,7 @@ from pipeline.export.picture import png_bytes, seen
 from pipeline.store import layout
 from pipeline.store.cube import open_cube
 from pipeline.store.markers import marker_path
+from pipeline.store.truth import read_truth
 from service.problems import NotReady, NotThere
 from service.products.frames import array_of, check_frame, describe, grid_of
 
@@ -142,10 +142,11 @@ def truth_of(product: Path, frame: int, limit: int) -> JsonObject:
     about = describe(product)
     check_frame(frame, about["frames"])
     out: JsonObject = {"targets": [], "stars": [], "stars_in_frame": 0, "stars_hidden": 0}
-    targets = _truth_rows(product, "targets", frame, TARGET_COLUMNS)
+    shown = [("frame", "=", frame), ("in_frame", "=", True)]
+    targets = read_truth(product, "targets", TARGET_COLUMNS, shown)
     if targets is not None:
         out["targets"] = _plain(targets)
-    stars = _truth_rows(product, "stars", frame, STAR_COLUMNS)
+    stars = read_truth(product, "stars", STAR_COLUMNS, shown)
     if stars is not None:
         if "visible_fraction" in stars.column_names:
             out["stars_hidden"] = pc.sum(pc.equal(stars["visible_fraction"], 0.0)).as_py() or 0
@@ -156,15 +157,6 @@ def truth_of(product: Path, frame: int, limit: int) -> JsonObject:
         for star in out["stars"]:
             star["source_id"] = str(star["source_id"])  # beyond the whole numbers of JavaScript
     return out
-
-
-def _truth_rows(product: Path, kind: str, frame: int, columns: tuple[str, ...]) -> pa.Table | None:
-    path = product / layout.TRUTH / f"{kind}.parquet"
-    if not path.is_file():
-        return None
-    seen = [("frame", "=", frame), ("in_frame", "=", True)]
-    known = pq.read_schema(path).names  # products of earlier versions hold fewer
-    return pq.read_table(path, columns=[c for c in columns if c in known], filters=seen)
 
 
 def _plain(table: pa.Table) -> list[JsonObject]:

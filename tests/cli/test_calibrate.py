@@ -16,7 +16,7 @@ from pipeline.calibrate import calibrate
 from pipeline.errors import BadInput
 from pipeline.store.cube import open_cube
 from pipeline.store.layout import LONG_NAMES
-from pipeline.store.product import seal
+from pipeline.store.seal import seal
 from tests.command import nightglass
 
 SCENE = {

@@ -21,10 +21,13 @@ import pyarrow.parquet as pq
 import pytest
 import xarray as xr
 import zarr
+from zarr.storage import LocalStore
 
 from pipeline.calibrate import calibrate
 from pipeline.errors import BadInput, Damaged, DiskFull, Incomplete, TryLater
 from pipeline.export.files import export_frames
+from pipeline.export.formats import ExportRequest, export_product
+from pipeline.opened_product import open_product
 from pipeline.plan.tiles import cut_up
 from pipeline.route.run import Options, render
 from pipeline.route.shares import Share
@@ -35,6 +38,7 @@ from pipeline.store.info import describe
 from pipeline.store.markers import cell_checksums, markers_present, read_marker
 from pipeline.store.product import cells_digest, cells_of, check, content_digest
 from pipeline.store.truth import TruthTable, part_path, write_part
+from pipeline.store.whole_chunks import open_whole
 
 SCENE = {
     "schema": "nightglass/scene/1",
@@ -164,8 +168,10 @@ def test_what_is_lost_of_a_layer_is_never_read_as_zeros(product, tmp_path, lost)
 def test_a_lost_coordinate_is_not_read_as_zeros(product, tmp_path, name):
     """Be it stored as one shard of all frames or whole."""
     shutil.rmtree(product / "cube.zarr" / name / "c")
+    with pytest.raises(Damaged, match=f"cube.zarr/{name}/c/.*: missing"):
+        open_cube(product)
     with pytest.raises(Damaged, match=f"cube.zarr/{name}/c/.*: this chunk is lost"):
-        open_cube(product).load()
+        open_whole(LocalStore(product / "cube.zarr", read_only=True)).load()
 
 
 @pytest.mark.parametrize(
@@ -182,6 +188,42 @@ def test_other_files_are_watched(product, name):
     assert any(name in fault for fault in check(product).faults)
     path.unlink()
     assert any(name in fault for fault in check(product).faults)
+
+
+@pytest.mark.parametrize("cut", [False, True], ids=["gone", "cut"])
+@pytest.mark.parametrize(
+    "name", ["truth/targets.parquet", "plan.json", "report.json", "cube.zarr/zarr.json"]
+)
+def test_what_is_damaged_is_neither_told_nor_exported(product, tmp_path, name, cut):
+    """A table of truth that is gone is no scene without targets. The damaged file is named."""
+    path = product / name
+    content = path.read_bytes()[:7]
+    path.unlink()
+    if cut:
+        path.write_bytes(content)
+    for doors in (
+        lambda: describe(product),
+        lambda: next(export_product(product, "coco", tmp_path / "out", ExportRequest())),
+        lambda: next(export_product(product, "fits", tmp_path / "out", ExportRequest())),
+        lambda: open_product(product),
+    ):
+        with pytest.raises(Damaged, match=name):
+            doors()
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_large_table_is_judged_when_it_is_read(product, tmp_path, monkeypatch):
+    """Not each time that a product is opened; of one that is gone the next reader is told."""
+    monkeypatch.setattr("pipeline.store.seal.SMALL_BYTES", 100)
+    truth, path = open_product(product).truth, product / "truth" / "targets.parquet"
+    content = bytearray(path.read_bytes())
+    content[4:500] = bytes(496)
+    path.write_bytes(content)
+    with pytest.raises(Damaged, match=r"targets\.parquet"):
+        list(export_product(product, "coco", tmp_path / "out", ExportRequest()))
+    path.unlink()
+    with pytest.raises(Damaged, match=r"targets\.parquet: damaged: gone"):
+        truth["targets"]
 
 
 def test_a_seal_with_another_digest_is_named(product):
