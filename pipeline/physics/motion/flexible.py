@@ -99,21 +99,26 @@ class ModeSplit:
 
     c_slow : (3, n) output that is followed from node to node; variance : (3,) of the rest, blur;
     mean_variance : (3,) of the rest's mean over an exposure, which blur leaves out
+    rough : (3,) of the slow part about what its states at two nodes say of those between, blur as
+    well; bend : (3,) mean square of how far that is from a straight line
     """
 
     c_slow: Array
     variance: Array
     mean_variance: Array
+    rough: Array
+    bend: Array
 
 
-def split(mode: Mode, step_s: float, exposure_s: float) -> ModeSplit:
-    """Slow and fast part of a mode, told by its eigenvalues; the variance that lines lose is blur.
+def split(mode: Mode, slowest_s: float, step_s: float, exposure_s: float) -> ModeSplit:
+    """Slow and fast part of a mode, told by its eigenvalues.
 
-    An eigenvalue is fast if it turns by more than FAST_TURN_RAD between nodes, or decays by more
-    than FAST_STEP time constants. Lines between nodes lose a sixth of E[(x(h) - x(0))^2].
+    An eigenvalue is fast if it turns by more than FAST_TURN_RAD in `slowest_s`, or decays by more
+    than FAST_STEP time constants; nodes are `step_s` apart. Means over a step are two thirds of
+    what is in its middle, as of a parabola.
     """
     value, vector = np.linalg.eig(mode.a)
-    turns, decays = np.abs(value) * step_s > FAST_TURN_RAD, -value.real * step_s > FAST_STEP
+    turns, decays = np.abs(value) * slowest_s > FAST_TURN_RAD, -value.real * slowest_s > FAST_STEP
     fast = np.where(value.imag != 0.0, turns, decays)
     if fast.all():
         c_slow = np.zeros_like(mode.c)
@@ -125,11 +130,21 @@ def split(mode: Mode, step_s: float, exposure_s: float) -> ModeSplit:
     c_fast = mode.c - c_slow
     variance = np.einsum("ij,jk,ik->i", c_fast, mode.start, c_fast)
     mean = mean_variance(mode, c_fast, exposure_s) if fast.any() else np.zeros(3)
-    step = discretise(mode.a, mode.b, step_s)
-    change = c_slow @ step.change
-    moved = np.einsum("ij,jk,ik->i", change, mode.start, change)
-    moved += np.einsum("ij,jk,ik->i", c_slow, step.noise, c_slow)
-    return ModeSplit(c_slow, variance + moved / 6.0, mean)
+    half = discretise(mode.a, mode.b, 0.5 * step_s)
+    rough = (2.0 / 3.0) * np.square(c_slow @ bridge(half).spread).sum(axis=1)
+    off = (2.0 / 3.0) * _off_the_line(half, mode.start, c_slow)
+    return ModeSplit(c_slow, variance, mean, rough, np.maximum(off - rough, 0.0))
+
+
+def _off_the_line(half: LinearStep, start: Array, c: Array) -> Array:
+    """Variance (3,) of c x in the middle of two steps about the mean of both ends.
+
+    With Phi = 1 + D of half the way that is -D^2 / 2 of the state at the start, (1 - D) / 2 of the
+    first half's noise, and -1/2 of the second's.
+    """
+    bent, first = 0.5 * half.change @ half.change, 0.5 * (np.eye(len(start)) - half.change)
+    whole = bent @ start @ bent.T + first @ half.noise @ first.T + 0.25 * half.noise
+    return np.einsum("ij,jk,ik->i", c, whole, c)
 
 
 def mean_variance(mode: Mode, c: Array, exposure_s: float) -> Array:

@@ -170,11 +170,12 @@ def waves(bins: SpectrumBins, split_hz: float, normals: Array, shares: Array) ->
     return Waves(f[keep], size * cosine, size * sine)
 
 
-def slow_loss(bins: SpectrumBins, split_hz: float, step_s: float) -> float:
-    """Variance [rad^2] of the slow part that straight lines between nodes lose, on average.
+def bend_variance(bins: SpectrumBins, split_hz: float, step_s: float) -> float:
+    """Mean square [rad^2] of how far the slow part is from straight lines between nodes h apart.
 
-    A wave loses (1 - cos w h) / 3 of its variance between nodes h apart.
+    Of a wave (w h)^4 / 120 of its variance, less in higher orders: the mean square of the parabola
+    x'' t (h - t) / 2.
     """
     slow = bins.edge_hz[:-1] < split_hz
     f, v = bins.middle_hz[slow], bins.variance[slow]
-    return float((v * (2.0 / 3.0) * np.sin(np.pi * f * step_s) ** 2).sum())
+    return float((v * (2.0 * np.pi * f * step_s) ** 4 / 120.0).sum())

@@ -17,9 +17,12 @@ from pipeline.spec.pointing.attitude import (
 )
 from pipeline.spec.scene import Scene
 
-FEWEST, MOST = 9, 1025  # nodes of a random path
-PER_PERIOD = 8  # nodes in a period of the fastest wave that is path
-LEFT_PX = 5e-3  # rms of an exposure's mean that blur may leave out
+FEWEST, MOST = 9, 1025  # steps of which the fastest wave that is path has PER_PERIOD, and one more
+PER_PERIOD = 8
+MOST_NODES = 4097  # of a random path: each of the steps is halved until it is straight
+LEFT_PX = 5e-3  # rms that a path, and an exposure's mean, may be off by
+GAINED = 0.9  # of the error before, above which more nodes are no gain
+ROUGH_SCATTER = math.sqrt(0.8)  # relative rms of the mean square of a Brownian bridge: 1/45 to 1/36
 MOST_MOMENTS = 1 << 17  # of a random path at which it is looked how far it goes
 SHARPEST_PX = 0.5  # rms of the images for which a wrong variance of blur is bounded
 
@@ -28,16 +31,17 @@ SHARPEST_PX = 0.5  # rms of the images for which a wrong variance of blur is bou
 class MotionPlan:
     """How a scene's random motion is drawn.
 
-    nodes : of its path in each exposure, of which the longest lasts `longest_s`
+    nodes : of its path in each exposure, of which the longest lasts `longest_s`; between them it
+    is straight. split_hz : frequency above which waves are blur
     blur_px : rms of each axis drawn as blur; path_px : rms drawn as path
-    left_px : rms of an exposure's mean that the blur leaves out; scatter : relative rms change of
-    the blur's variance from exposure to exposure
+    left_px : rms of an exposure's mean that the blur leaves out, and of what the path is from
+    straight; scatter : relative rms change of the blur's variance from exposure to exposure
     uneven_px : rms that x or y has more than the blur, which is round
     roll_px : rms motion in the frame's corners of the roll that is omitted
     """
 
     nodes: int
-    longest_s: float
+    split_hz: float
     blur_px: float
     path_px: float
     left_px: float
@@ -52,13 +56,9 @@ class MotionPlan:
         return 4.0 * self.left_px + wrong_px2 / (2.0 * SHARPEST_PX**2)
 
     @property
-    def split_hz(self) -> float:
-        return split_hz(self.nodes, self.longest_s)
-
-
-def split_hz(nodes: int, longest_s: float) -> float:
-    """Frequency above which waves are blur."""
-    return (nodes - 1) / (PER_PERIOD * longest_s)
+    def slowest_s(self) -> float:
+        """Time in which what turns and decays little is path."""
+        return 1.0 / (PER_PERIOD * self.split_hz)
 
 
 def motion_plan(scene: Scene) -> MotionPlan | None:
@@ -86,46 +86,59 @@ def _plan(
     corner_px: float,
     part: float,
 ) -> MotionPlan:
-    """Fewest nodes whose blur leaves out little: `part` is the error allowed, over the noise."""
-    nodes = FEWEST
+    """Fewest steps whose blur leaves out little, halved as long as that makes the path straighter:
+    `part` is the error allowed, over the noise."""
+    steps = FEWEST - 1
     while True:
-        made = _plan_with(model, nodes, shortest_s, longest_s, ifov_rad, corner_px)
-        if (made.left_px <= LEFT_PX and made.error_sigma <= part) or nodes >= MOST:
+        nodes, before = steps + 1, math.inf
+        while True:
+            made = _plan_with(model, steps, nodes, (shortest_s, longest_s), ifov_rad, corner_px)
+            over = max(made.left_px / LEFT_PX, made.error_sigma / part)  # of what is allowed
+            if over <= 1.0:
+                return made
+            if over > GAINED * before or nodes >= MOST_NODES:
+                break  # it is the blur that is wrong
+            nodes, before = 2 * nodes - 1, over
+        if steps >= MOST - 1:
             return made
-        nodes = 2 * nodes - 1
+        steps *= 2
 
 
 def _plan_with(
     model: AttitudeModel,
+    steps: int,
     nodes: int,
-    shortest_s: float,
-    longest_s: float,
+    times_s: tuple[float, float],
     ifov_rad: float,
     corner_px: float,
 ) -> MotionPlan:
-    """What a number of nodes leads to."""
-    from pipeline.physics.motion.jitter import fast_part, slow_loss
+    """What a number of steps and nodes leads to; times_s : the shortest and longest exposure."""
+    from pipeline.physics.motion.jitter import bend_variance, fast_part
     from pipeline.plan.pointing.motion_runs import jitter_bins, mode_of, mode_split
 
-    step = longest_s / (nodes - 1)
+    shortest_s, longest_s = times_s
+    split_hz, step_s = steps / (PER_PERIOD * longest_s), longest_s / (nodes - 1)
     blur, left, path = np.zeros(3), np.zeros(3), np.zeros(3)
     scatter = 0.0
     for part in model.jitter:
-        bins = jitter_bins(part, split_hz(nodes, longest_s))
-        fast = fast_part(bins, split_hz(nodes, longest_s), shortest_s)
-        blur[:2] += fast.variance + slow_loss(bins, split_hz(nodes, longest_s), step)
-        left[:2] += fast.mean_variance
+        bins = jitter_bins(part, split_hz)
+        fast = fast_part(bins, split_hz, shortest_s)
+        blur[:2] += fast.variance
+        left[:2] += fast.mean_variance + bend_variance(bins, split_hz, step_s)
         path[:2] += float(bins.variance.sum()) - fast.variance
         scatter = math.hypot(scatter, fast.scatter * fast.variance)
     for i, mode in enumerate(model.modes):
-        one, parts = mode_of(mode, i), mode_split(mode, i, step, shortest_s)
-        blur += parts.variance
-        left += parts.mean_variance
+        one, parts = mode_of(mode, i), mode_split(mode, i, longest_s / steps, step_s, shortest_s)
+        blur += parts.variance + parts.rough
+        left += parts.mean_variance + parts.bend + parts.rough / (2.0 * (nodes - 1))
         path += np.einsum("ij,jk,ik->i", parts.c_slow, one.start, parts.c_slow)
+        short = 1.0 - shortest_s / longest_s  # of the rough part, in the shortest exposure
+        rough = float(parts.rough[:2].max()) * max(short, ROUGH_SCATTER / math.sqrt(nodes - 1))
+        scatter = math.hypot(scatter, rough)
     round_ = 0.5 * (blur[0] + blur[1])
     return MotionPlan(
         nodes,
-        longest_s,
+        split_hz,
         math.sqrt(round_) / ifov_rad,
         math.sqrt(max(path[0], path[1])) / ifov_rad,
         math.sqrt(max(left[0], left[1])) / ifov_rad,
@@ -153,10 +166,10 @@ def random_motion_rad(scene: Scene, frames: NDArray[np.int64], nodes: int) -> Ar
     for i, part in enumerate(model.jitter):
         run = jitter_waves(part, i, scene.seed, plan.split_hz)
         out[..., :2] += run.at(t.ravel()).reshape(*t.shape, 2)
-    step = plan.longest_s / (plan.nodes - 1)
-    shortest = integration_range_s(scene)[0]
+    shortest, longest = integration_range_s(scene)
+    step = longest / (plan.nodes - 1)
     for i, mode in enumerate(model.modes):
-        c = mode_split(mode, i, step, shortest).c_slow
+        c = mode_split(mode, i, plan.slowest_s, step, shortest).c_slow
         if c.any():
             states = mode_states(scene, mode, i, frames, time, plan.nodes)
             for j in range(states.shape[-1]):

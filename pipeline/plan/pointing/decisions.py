@@ -114,12 +114,12 @@ def _random_motion(basis: PlanBasis) -> tuple[Decision, ...]:
             "pointing_motion",
             True,
             f"{parts}: below {plan.split_hz:.3g} Hz (in the longest exposure) a path of "
-            f"{plan.nodes} nodes, {plan.path_px:.3g} px rms; the rest, and what straight lines "
-            f"between nodes lose, is a blur of {plan.blur_px:.3g} px rms per axis. Omitted: how "
-            f"that blur moves an exposure's mean ({plan.left_px:.2g} px rms) and changes its own "
-            f"variance from exposure to exposure ({100 * plan.scatter:.2g}% rms){more}. The bound "
-            "is four times these, in a pixel whose light equals the noise floor, for images of "
-            f"{SHARPEST_PX:g} px rms or more",
+            f"{plan.nodes} nodes, {plan.path_px:.3g} px rms; the rest is a blur of "
+            f"{plan.blur_px:.3g} px rms per axis. Omitted: how that blur moves an exposure's mean "
+            f"and the path bends between nodes ({plan.left_px:.2g} px rms), and how the blur's "
+            f"variance changes from exposure to exposure ({100 * plan.scatter:.2g}% rms){more}. "
+            "The bound is four times these, in a pixel whose light equals the noise floor, for "
+            f"images of {SHARPEST_PX:g} px rms or more",
             plan.error_sigma * basis.facts.light_floor_e,
             plan.error_sigma,
         ),

@@ -83,9 +83,11 @@ def mode_of(mode: Mode, index: int) -> flexible.Mode:
 
 
 @lru_cache(maxsize=256)
-def mode_split(mode: Mode, index: int, step_s: float, exposure_s: float) -> flexible.ModeSplit:
+def mode_split(
+    mode: Mode, index: int, slowest_s: float, step_s: float, exposure_s: float
+) -> flexible.ModeSplit:
     """What of a mode is path, and what blur."""
-    return flexible.split(mode_of(mode, index), step_s, exposure_s)
+    return flexible.split(mode_of(mode, index), slowest_s, step_s, exposure_s)
 
 
 @lru_cache(maxsize=64)

@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from scipy.signal import welch
 
 from pipeline.physics.motion import jitter
-from pipeline.physics.motion.jitter import bins_of, fast_part, slow_loss, waves
+from pipeline.physics.motion.jitter import bend_variance, bins_of, fast_part, waves
 
 SPECTRA = {
     "white": jitter.white(0.7, 0.1, 50.0),
@@ -102,16 +102,18 @@ def test_blur_leaves_out_no_more_than_it_says(name: str) -> None:
     assert np.std(spreads) / np.mean(spreads) == pytest.approx(part.scatter, rel=0.35)
 
 
-def test_what_straight_lines_lose() -> None:
-    """Against runs: the variance of a polyline through the nodes, averaged over time."""
-    one, split_hz, step = SPECTRA["white"], 8.0, 1.0 / 64.0
-    lost, share = [], (np.arange(16) + 0.5) / 16
+@pytest.mark.parametrize("step", [1.0 / 64.0, 1.0 / 256.0])
+def test_how_far_waves_are_from_straight_lines(step: float) -> None:
+    """Against runs: the mean square of what is between a polyline through the nodes and them."""
+    one, split_hz, fine = SPECTRA["white"], 8.0, 16
+    share, off = np.arange(fine) / fine, []
     for seed in range(60):
-        x = drawn("white", seed=seed).at(np.arange(257) * step)
-        between = x[:-1, None] * (1 - share)[:, None] + x[1:, None] * share[:, None]
-        lost.append((x**2).mean() - (between**2).mean())
-    expected = slow_loss(bins_of(one, split_hz), split_hz, step)
-    assert np.mean(lost) == pytest.approx(expected, rel=0.1)
+        x = drawn("white", seed=seed).at(np.arange(256 * fine + 1) * step / fine)
+        nodes, between = x[::fine], x[:-1].reshape(256, fine, 2)
+        line = nodes[:-1, None] + share[:, None] * (nodes[1:] - nodes[:-1])[:, None]
+        off.append(((between - line) ** 2).mean())
+    expected = bend_variance(bins_of(one, split_hz), split_hz, step)
+    assert np.mean(off) == pytest.approx(expected, rel=0.1)
 
 
 def test_limits_of_tables() -> None:

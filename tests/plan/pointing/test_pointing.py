@@ -22,7 +22,7 @@ from pipeline.plan.pointing.geometry import (
     sampled_frames,
     star_paths,
 )
-from pipeline.plan.pointing.motion_runs import mode_states
+from pipeline.plan.pointing.motion_runs import jitter_waves, mode_states
 from pipeline.plan.pointing.pointing import rows_s, swept_rad
 from pipeline.plan.pointing.star_paths import excursions_px
 from pipeline.plan.timing import dwell_plans, frame_count, frame_times
@@ -332,6 +332,35 @@ def test_blur_leaves_out_no_more_than_is_asked(scene: Make, noise_fraction: floa
     assert 4.0 * plan.left_px < plan.error_sigma <= part_sigma(s)
 
 
+@pytest.mark.parametrize("times_s", [[4.0], [0.5, 20.0]], ids=["one", "short and long"])
+def test_slow_motion_is_a_path_and_no_blur(scene: Make, times_s: list[float]) -> None:
+    """In short exposures beside long ones, too: each is within what the plan says of its waves."""
+    noise = {"kind": "white", "rms_arcsec": 8.0, "low_hz": 0.02, "high_hz": 0.04}
+    s = scene({"pointing": SIDEREAL | {"attitude": {"jitter": [noise]}}, "stars": None,
+               "exposure.cadence_s": None, "dwells": [{"integration_s": times_s}]})  # fmt: skip
+    plan, frames = motion_plan(s), np.arange(frame_count(s))
+    assert plan is not None
+    assert (plan.blur_px, plan.scatter) == (0.0, 0.0)
+    assert plan.path_px == pytest.approx(8.0 * ARCSEC / 1e-5, rel=1e-3)
+    run = jitter_waves(s.pointing.attitude.jitter[0], 0, s.seed, plan.split_hz)
+    moved, (start, time) = random_motion_rad(s, frames, plan.nodes), frame_times(s, frames)
+    share, nodes = np.linspace(0.0, 1.0, 2001), np.linspace(0.0, 1.0, plan.nodes)
+    for k in frames:
+        own = run.at(start[k] + share * time[k])
+        for axis in (0, 1):
+            off_px = (own[:, axis] - np.interp(share, nodes, moved[k, :, axis])) / 1e-5
+            assert np.sqrt(np.mean(off_px**2)) <= 2.0 * plan.left_px
+
+
+def test_a_steady_rate_leaves_no_blur(scene: Make) -> None:
+    """Of both axes alike: a streak that is straight loses nothing between its nodes."""
+    modes = [{"kind": "rate_markov", "axis": axis, "time_constant_s": 1e6, "rms_arcsec_s": 8.0}
+             for axis in "xy"]  # fmt: skip
+    plan = motion_plan(scene({"pointing": SIDEREAL | {"attitude": {"modes": modes}}}))
+    assert plan is not None
+    assert max(plan.blur_px, plan.left_px, plan.uneven_px) < 1e-3
+
+
 def test_a_blur_of_one_axis_is_uneven_whichever_it_is(scene: Make) -> None:
     found = []
     for axis in ("x", "y"):
@@ -445,10 +474,11 @@ def test_blur_leaves_out_what_the_shortest_exposure_sees(scene: Make, shortest_s
     """Of waves faster than the blur's edge the mean over T is as 1 / (f T), as their sinc."""
     noise = {"kind": "white", "rms_arcsec": 4.0, "low_hz": 1e-3, "high_hz": 1e4}
     pointing = SIDEREAL | {"attitude": {"jitter": [noise]}}
-    several, longest = (
+    several, some, longest = (
         motion_plan(scene({"pointing": pointing, "dwells": [{"integration_s": times}]}))
-        for times in ([6.4, shortest_s], [6.4])
+        for times in ([6.4, shortest_s], [6.4, 0.8], [6.4])
     )
-    assert several.nodes == longest.nodes
-    ratio = several.left_px / longest.left_px
-    assert ratio == pytest.approx(6.4 / shortest_s, rel=0.1)
+    assert several.nodes == some.nodes == longest.nodes
+    more, less = (plan.left_px**2 - longest.left_px**2 for plan in (several, some))
+    expected = (shortest_s**-2 - 6.4**-2) / (0.8**-2 - 6.4**-2)
+    assert more / less == pytest.approx(expected, rel=0.2)
