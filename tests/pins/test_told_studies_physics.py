@@ -224,14 +224,14 @@ binned = [jitter.bins_of(s, 7.) for s in spectra]
 [jitter.fast_part(b, split, t) for b in binned for split, t in ((7., 1.), (0., .01), (1e9, 1.))]
 made = [jitter.waves(b, 7., np.random.default_rng(3).normal(size=(999, 4))[: b.variance.size + 1],
     np.full(b.variance.size, .3)) for b in binned]
-[w.at(a(0, .1, 1e3)) for w in made], [jitter.bend_variance(b, 7., h) for b in binned for h in (0., .01,
-    .2)]
+[w.at(a(0, .1, 1e3)) for w in made], [jitter.bend_variance(b, 7., h) for b in binned for h in (0.,
+    .01, .2)]
 modes = [flexible.oscillator(0, 3., .05, 2., None), flexible.oscillator(1, 30., .05, None, 4.),
     flexible.markov(1, 5., None, .5), flexible.markov(2, .01, 3., None), flexible.random_walk(2,
     .7), flexible.rate_markov(0, 9., .2), flexible.system(stiff, push, np.eye(3)),
     flexible.system(a(1)[None], a(1)[None], a(1, 2, 3)[:, None])]
-[flexible.split(m, h, h / 4, 1.) for m in modes for h in (1e-3, .3)], [flexible.mean_variance(m, m.c, t)
-    for m in modes for t in (.01, 10.)]
+[flexible.split(m, h, h / 4, 1.) for m in modes for h in (1e-3, .3)], [flexible.mean_variance(m,
+    m.c, t) for m in modes for t in (.01, 10.)]
 normal = np.random.default_rng(4).normal(size=(6, 5, 3))
 [flexible.run(m, a(0, .5, .5, 2), normal[:2, :, : len(m.a)]) for m in modes]
 [flexible.between(m, normal[0, :2, : len(m.a)], normal[1, :2, : len(m.a)], 2., 2, normal[2:4, :3, :

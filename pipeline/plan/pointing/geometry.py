@@ -23,7 +23,7 @@ from pipeline.physics.positions.apparent import (
 )
 from pipeline.physics.positions.earth import EarthState, earth_and_sun
 from pipeline.physics.positions.focal_plane import Camera, ifov_rad
-from pipeline.physics.positions.limb import limb_angle
+from pipeline.physics.positions.limb import limb_angle, pole_at, upright
 from pipeline.physics.positions.orbit import check_above_earth
 from pipeline.physics.positions.times import Instants, instants, parse_utc
 from pipeline.physics.vectors import separation, to_angles
@@ -466,7 +466,7 @@ def _observer(
 def check_view(scene: Scene, observer_m: Array, boresight: Array) -> None:
     """Refuse a boresight that ends in the Earth: below the horizon, or inside its disc."""
     if isinstance(scene.observer, GroundObserver):
-        elevation = separation(boresight, -observer_m) - np.pi / 2
+        elevation = separation(boresight, -upright(observer_m)) - np.pi / 2
         if elevation.min() < 0:
             raise BadInput(
                 "pointing",
@@ -474,7 +474,7 @@ def check_view(scene: Scene, observer_m: Array, boresight: Array) -> None:
                 "a boresight above the horizon of the site during all exposures",
             )
         return
-    limb = limb_angle(observer_m, boresight)
+    limb = limb_angle(observer_m, boresight, pole_at(parse_utc(scene.epoch)))
     if limb.min() < 0:
         raise BadInput(
             "pointing",

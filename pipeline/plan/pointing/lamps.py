@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from pipeline.physics.constants import (
     DEG_RAD,
     EARTH_EQUATORIAL_RADIUS_M,
-    EARTH_FLATTENING,
     SPEED_OF_LIGHT_M_S,
     SUN_RADIUS_M,
 )
@@ -23,7 +22,9 @@ from pipeline.physics.positions.focal_plane import (
     deproject,
     project,
 )
+from pipeline.physics.positions.limb import limb_angle, pole_at, upright
 from pipeline.physics.positions.planets import OFF_RAD, PLANETS, brightest_v_mag, planet_m
+from pipeline.physics.positions.times import parse_utc
 from pipeline.physics.targets.shadow import MOON_RADIUS_M, moon_m
 from pipeline.physics.vectors import angular_radius, separation, unit
 from pipeline.plan.bodies.sights import Moments
@@ -187,7 +188,7 @@ def _earth(scene: Scene, camera: Camera, attitude: Array, place_m: Array) -> Lam
     below its horizon, which comes into a frame by a corner."""
     seen = np.full(len(place_m), -np.pi)
     if isinstance(scene.observer, GroundObserver):
-        down = -unit(_upright(place_m))
+        down = -unit(upright(place_m))
         off_axis, radius = separation(attitude[:, 2], down), np.full(len(down), 0.5 * np.pi)
         x = np.array([-0.5, camera.columns - 0.5])
         x, y = np.tile(x, 2), np.repeat([-0.5, camera.rows - 0.5], 2)
@@ -195,14 +196,10 @@ def _earth(scene: Scene, camera: Camera, attitude: Array, place_m: Array) -> Lam
         off_frame = separation(corners, down[:, None]).min(axis=-1)
         return Lamp(off_axis, off_frame, radius, seen, seen)
     down = unit(-place_m)
-    radius = angular_radius(EARTH_EQUATORIAL_RADIUS_M, place_m)
     off_axis = separation(attitude[:, 2], down)
+    pole = pole_at(parse_utc(scene.epoch))
+    radius = off_axis - limb_angle(place_m, attitude[:, 2], pole)  # towards what is looked at
     return Lamp(off_axis, _off_frame(camera, attitude, down, off_axis), radius, seen, seen)
-
-
-def _upright(place_m: Array) -> Array:
-    """Normals (n, 3) of the Earth's ellipsoid at geocentric places, of any length."""
-    return place_m * [1.0, 1.0, (1.0 - EARTH_FLATTENING) ** -2]
 
 
 def _lamp(
@@ -216,7 +213,7 @@ def _lamp(
 ) -> Lamp:
     """A body at vectors (n, 3) from the observer, who sees it in directions (n, 3)."""
     radius = angular_radius(radius_m, body_m)
-    elevation = 0.5 * np.pi - separation(body_m, _upright(at.observer_m))
+    elevation = 0.5 * np.pi - separation(body_m, upright(at.observer_m))
     off_axis = separation(attitude[:, 2], towards)
     return Lamp(
         off_axis,
@@ -234,7 +231,7 @@ def _planet(
     from_sun = planet_m(name, at.times.tt1, at.times.tt2)
     body = sun_m + from_sun
     towards, far = unit(body), [np.sqrt(np.sum(v**2, axis=-1)) for v in (from_sun, body)]
-    elevation = 0.5 * np.pi - separation(body, _upright(at.observer_m))
+    elevation = 0.5 * np.pi - separation(body, upright(at.observer_m))
     off_axis = separation(attitude[:, 2], towards)
     off_frame = off_axis - corner_radius(camera)  # at least
     near = off_frame <= OFF_RAD

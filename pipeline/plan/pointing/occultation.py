@@ -47,11 +47,12 @@ def limb_in_reach(scene: Scene, camera: Camera, g: Geometry, reach_px: float) ->
     three = np.array([0, g.middle, g.nodes - 1])
     place = g.observer_m[:, three] - _earth_m(g, three)
     boresight = g.attitude[:, three, 2]
+    pole = pole_at(parse_utc(scene.epoch))
     if isinstance(scene.observer, GroundObserver):
-        up = zenith_of(place, pole_at(parse_utc(scene.epoch)), _latitude_rad(scene))
+        up = zenith_of(place, pole, _latitude_rad(scene))
         off = np.arcsin(np.clip(np.sum(boresight * up, axis=-1), -1.0, 1.0))
     else:
-        off = limb_angle(place, boresight)
+        off = limb_angle(place, boresight, pole)
     radius = corner_radius(camera) + reach_px * stretch(camera) * ifov_rad(camera)
     spare = np.ptp(off, axis=-1) + BESIDE_RAD
     return bool(np.any(off.min(axis=-1) - spare < radius))

@@ -196,6 +196,34 @@ def test_refused_views_and_orbits(scene: Make, changes: dict, field: str) -> Non
     assert field in caught.value.field
 
 
+@pytest.mark.parametrize("azimuth_deg", [0.0, 90.0, 180.0])
+def test_a_horizon_is_that_of_the_ellipsoid(scene: Make, azimuth_deg: float) -> None:
+    """North and south alike, where the Earth's middle is 0.19 degrees off the nadir."""
+    site = {"kind": "ground", "latitude_deg": 45.0, "longitude_deg": 10.0}
+    local = {"mode": "local", "azimuth_deg": azimuth_deg}
+    every(scene({"observer": site, "pointing": local | {"elevation_deg": 0.1}}))
+    with pytest.raises(BadInput, match=r"elevation -0\.1"):
+        every(scene({"observer": site, "pointing": local | {"elevation_deg": -0.1}}))
+
+
+def test_a_limb_is_that_of_the_ellipsoid(scene: Make) -> None:
+    """Over a pole, from above the equator: 0.36 degrees below that of the equator's sphere."""
+    speed = float(np.sqrt(3.986004418e14 / 7.2e6))
+    orbit = {"kind": "state", "position_m": [7.2e6, 0, 0], "velocity_m_s": [0, speed, 0]}
+    above = {"kind": "orbit", "orbit": orbit}
+    limb_deg = float(np.degrees(np.arctan2(6356752.3, np.sqrt(7.2e6**2 - 6378137.0**2))))
+    # of the ellipse x^2 / a^2 + z^2 / b^2 = 1, from (d, 0): tan = b / sqrt(d^2 - a^2)
+    for off_deg in (0.02, -0.02):
+        north = {"mode": "sidereal", "boresight_ra_deg": 180.0,
+                 "boresight_dec_deg": limb_deg + off_deg}  # fmt: skip
+        s = scene({"observer": above, "pointing": north, "exposure.integration_s": 0.1})
+        if off_deg > 0.0:
+            every(s)
+        else:
+            with pytest.raises(BadInput, match=r"0\.02 deg inside the Earth"):
+                every(s)
+
+
 @pytest.mark.parametrize("rate", [2e5, 1e7, 1e9, 1e300])
 def test_absurd_rates_are_refused(scene: Make, rate: float) -> None:
     changes = {"pointing": {"mode": "rate", "boresight_ra_deg": 0.0, "boresight_dec_deg": 0.0,
