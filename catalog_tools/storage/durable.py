@@ -64,9 +64,10 @@ def full_disk_told(store: Path | str, remedy: str) -> Iterator[None]:
         if error.errno not in NO_ROOM:
             raise
         where = str(store)
-        if isinstance(error.filename, str):
-            there = Path(error.filename).absolute().is_relative_to(Path(store).absolute())
-            where = where if there else error.filename
+        written = error.filename2 or error.filename  # where one is copied to another
+        if isinstance(written, str):
+            there = Path(written).absolute().is_relative_to(Path(store).absolute())
+            where = where if there else written
         raise DiskFull(where, error.errno, remedy) from error
 
 

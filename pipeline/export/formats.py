@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
-from catalog_tools.storage.durable import MAKE_ROOM, full_disk_told, whole_file
+from catalog_tools.storage.durable import full_disk_told, whole_file
 from pipeline.errors import BadInput, check_new
 from pipeline.export import coco, satnet
 from pipeline.export.files import KINDS as FRAME_KINDS
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 PAD_FRACTION = 0.9  # of a point's light within the margin of a SatNet box
 MOVIE_PX = 1024
+START_AGAIN = "make room, remove what was written there, and start again"
 
 
 @dataclass(frozen=True)
@@ -65,9 +66,15 @@ def export_product(
     """
     if kind not in FORMATS:
         raise BadInput("--to", kind, ", ".join(FORMATS))
-    if kind in FRAME_KINDS:
-        yield from export_frames(product, kind, output, request.frame, request.layer)
-        return
+    with full_disk_told(output, START_AGAIN):
+        if kind in FRAME_KINDS:
+            yield from export_frames(product, kind, output, request.frame, request.layer)
+        else:
+            yield from _export_all(product, kind, output, request)
+
+
+def _export_all(product: Path, kind: str, output: Path, request: ExportRequest) -> Iterator[Path]:
+    """Formats of more than frames."""
     named = kind not in ("gif", "mp4") or output.suffix == f".{kind}"
     fps, sigma, snr = request.fps, request.threshold_sigma, request.stars_snr
     for good, field, value, allowed in (
@@ -129,7 +136,7 @@ def _movie(job: _Job, output: Path) -> Iterator[Path]:
     if output.suffix == ".gif":
         write_atomically(output, gif_bytes(pictures, len(job.frames), job.request.fps))
     else:
-        with full_disk_told(output, MAKE_ROOM), whole_file(output) as own:
+        with whole_file(output) as own:
             own.touch()  # says why a place is none for a file, which ffmpeg does not
             write_mp4(pictures, own, job.request.fps)
     yield output

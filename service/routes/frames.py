@@ -18,6 +18,7 @@ from service.problems import NotThere
 from service.products import frames
 from service.products.archive import archive
 from service.routes.results import _product as complete_product
+from service.routes.results import scene_job
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["frames"])
 Number = Annotated[int, InPath(ge=0, lt=2**31)]
@@ -27,7 +28,12 @@ reading = BoundedSemaphore(2)  # tiles and frames in memory at once
 
 def _begun_product(service: Context, job_id: str) -> Path:
     """The product of a job, complete or not."""
-    return service.settings.product(service.store.get(job_id).id)
+    return service.settings.product(scene_job(service, job_id).id)
+
+
+def _whole_product(service: Context, job_id: str) -> Path:
+    """The product of a job that has drawn all of its frames."""
+    return complete_product(service, scene_job(service, job_id).id)
 
 
 def _pixels() -> Any:
@@ -118,7 +124,7 @@ def truth(
 ) -> Response:
     """Targets and the brightest stars in a frame: places, names, light, signal-to-noise."""
     with reading:
-        product = complete_product(service, job_id)
+        product = _whole_product(service, job_id)
         return JSONResponse(_pixels().truth_of(product, frame, limit))
 
 
@@ -131,7 +137,7 @@ def fits(
 ) -> Response:
     """A frame as FITS, with WCS and times."""
     with reading:
-        content = _pixels().frame_fits(complete_product(service, job_id), frame, layer)
+        content = _pixels().frame_fits(_whole_product(service, job_id), frame, layer)
     name = f"{_file_name(service, job_id)}-{layer}-{frame:05d}.fits"
     return Response(content, media_type="application/fits", headers=_attachment(name))
 

@@ -11,11 +11,19 @@ from fastapi.responses import JSONResponse, Response
 
 from pipeline.store import layout
 from service.context import Context, Service
-from service.jobs.jobs import Phase
-from service.problems import NotReady
+from service.jobs.jobs import Job, Phase
+from service.problems import NotReady, NotThere
 from service.products.files import list_files, serve_file
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
+
+
+def scene_job(service: Context, job_id: str) -> Job:
+    """A job that draws frames. NotThere for one of a sweep or study, which never has any."""
+    job = service.store.get(job_id)
+    if job.kind != "scene":
+        raise NotThere(f"a {job.kind} has neither frames nor a plan: /v1/jobs/{job_id}/results")
+    return job
 
 
 def _product(service: Context, job_id: str) -> Path:
@@ -67,7 +75,7 @@ def report(request: Request, service: Service, job_id: str) -> Response:
 @router.get("/plan")
 def plan(request: Request, service: Service, job_id: str) -> Response:
     """The plan, from the moment that the job has one."""
-    job = service.store.get(job_id)
+    job = scene_job(service, job_id)
     product = service.settings.product(job_id)
     if not (product / layout.PLAN).is_file():
         raise NotReady(f"the job is {job.phase}: it has no plan yet")

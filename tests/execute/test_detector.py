@@ -17,6 +17,7 @@ from pipeline.execute.detector import stream_place, tile_chain
 from pipeline.execute.sources import drawing_order
 from pipeline.physics.noise.chain import held_e, noise_e, to_dn
 from pipeline.physics.noise.streams import stream_key
+from pipeline.plan.optics.optics import clock_step_px
 from pipeline.plan.tiles import Tile
 from pipeline.route.draw import missing
 from pipeline.route.prepare import plan_scene, prepare
@@ -348,6 +349,15 @@ def test_tdi_streaks_by_the_difference_and_by_its_clock(tmp_path):
     across = (((x - column) ** 2) * light).sum() / total
     along = (((y - row) ** 2) * light).sum() / total
     assert along - across == pytest.approx((12.0**2 + 0.5**2) / 12.0, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("rows_per_s", "box_px"), [(1e-6, 2e-6), (0.05, 0.1), (0.4, 0.8), (2.0, 1.0)]
+)
+def test_a_clock_blurs_by_no_more_than_the_charge_moves(rows_per_s, box_px):
+    """In 2 s of less than one step of a row an image that keeps pace smears by its own motion."""
+    detector = {"readout": {"kind": "tdi", "rows_per_s": rows_per_s, "clock_phases": 1}}
+    assert clock_step_px(scene(detector)) == pytest.approx(box_px, rel=1e-12)
 
 
 def test_streams_of_the_chain_are_named_and_independent():

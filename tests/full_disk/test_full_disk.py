@@ -104,6 +104,28 @@ def test_a_real_file_system_without_room(tmp_path: Path, small_disk: Path, name:
         subprocess.run(["find", str(small_disk), "-mindepth", "1", "-delete"], check=True)
 
 
+@pytest.mark.parametrize(
+    ("command", "remedy"),
+    [
+        (("export", "--to", "fits"), "remove what was written there"),
+        (("export", "--to", "coco"), "remove what was written there"),
+        (("calibrate",), "run the same command again"),
+    ],
+    ids=["fits", "coco", "calibrate"],
+)
+def test_what_is_written_of_a_product_is_named(
+    tmp_path: Path, small_disk: Path, command: tuple[str, ...], remedy: str
+) -> None:
+    """On a disk of its own, which is full; not the product that is read."""
+    product, out = tmp_path / "product", small_disk / "out"
+    run(*stores(tmp_path)["product"].command(product, False))
+    resize(small_disk, 8192)
+    told = run(command[0], str(product), *command[1:], "-o", str(out), wanted=3)
+    assert told.count("\n") == 1
+    assert f"nightglass: {out}: the disk is full" in told
+    assert remedy in told
+
+
 def test_a_film_without_room_is_told(small_disk: Path) -> None:
     """ffmpeg ends as if all were well: cut in its middle, or without its index at the end."""
     pytest.importorskip("imageio_ffmpeg")

@@ -28,6 +28,7 @@ from pipeline.physics.psf.von_karman import LEAST_ALONE_R0, LEAST_OUTER_R0, VonK
 from pipeline.physics.psf.zernike import defocus_rms
 from pipeline.physics.radiometry import ResponseCurve
 from pipeline.plan.pointing.attitude_motion import fast_blur_px
+from pipeline.plan.timing import longest_s
 from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import TimeDelay
@@ -103,11 +104,14 @@ def check_motion(scene: Scene) -> float:
 
 
 def clock_step_px(scene: Scene) -> float:
-    """Length of the steps in which charge follows a moving image; 0 where it does not."""
+    """Length of the steps in which charge follows a moving image; 0 where it does not.
+
+    In exposures of less than one step the image moves by no more than the charge is meant to.
+    """
     readout = scene.sensor.detector.readout if scene.sensor.detector else None
     if not isinstance(readout, TimeDelay) or readout.rows_per_s == 0:
         return 0.0
-    return 1.0 / readout.clock_phases
+    return min(1.0 / readout.clock_phases, abs(readout.rows_per_s) * longest_s(scene))
 
 
 def _with(rest: Blur, optics: Optics) -> Blur:

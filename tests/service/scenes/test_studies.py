@@ -54,6 +54,9 @@ def test_a_study_is_forecast_run_and_fetched(server: Any) -> None:
     assert report["figures"]["objects"] == 600
     table = pq.read_table(io.BytesIO(server.client.get(f"{here}/results/objects.parquet").content))
     assert table.num_rows == 600
+    for frames in ("plan", "frames", "frames/0", "frames/0/fits", "frames/0/truth"):
+        answer = server.client.get(f"{here}/{frames}")
+        assert (answer.status_code, "neither frames" in answer.text) == (404, True), frames
     assert b"Gap time by orbit" in server.client.get(f"{here}/results/report.html").content
     assert str(server.home) not in server.client.get(f"{here}/results/study.json").text
 
