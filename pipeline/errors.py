@@ -45,7 +45,7 @@ def check_new(output: Path, empty: bool = False) -> None:
     """BadInput where what is written (`-o`) is there already; empty : a folder may be, if empty."""
     if output.exists() and not (empty and output.is_dir() and not any(output.iterdir())):
         raise BadInput("-o", str(output), "a path that does not exist yet")
-    if file := next((p for p in output.parents if p.is_file()), None):
+    if file := next((p for p in output.parents if p.exists() and not p.is_dir()), None):
         raise BadInput("-o", str(output), f"a path in a folder; {file} is a file")
 
 

@@ -116,6 +116,7 @@ def test_refusals(product, tmp_path):
     for source, output, word, code in (
         (product, tmp_path / "there", "does not exist yet", 2),
         (product, product / "scene.yaml" / "x", f"a path in a folder; {product / 'scene.yaml'}", 2),
+        (product, Path("/dev/null/x"), "a path in a folder; /dev/null is a file", 2),
         (calibrated, tmp_path / "x", "dn", 2),
         (tmp_path / "there", tmp_path / "x", "product", 2),
         (unfinished, tmp_path / "x", "not complete", 3),
