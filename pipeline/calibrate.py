@@ -72,7 +72,7 @@ def calibrate(product: Path, output: Path, images: Path | None = None) -> JsonOb
     except OSError:
         pass  # what makes its folders says what is wrong
     try:
-        with full_disk_told(output, MAKE_ROOM), full_disk_told(partial, MAKE_ROOM):
+        with full_disk_told(output, MAKE_ROOM):
             report = _write(product, partial, cube, scene, maps)
         partial.rename(output)
     except BaseException:

@@ -110,7 +110,9 @@ def png_bytes(picture: Image.Image) -> bytes:
 
 def _mark_targets(picture: Image.Image, product: Path, frame: int, factor: int) -> None:
     """Green circles round the targets in view that the Earth does not hide."""
-    rows = read_truth(product, "targets", filters=[("frame", "=", frame), ("in_frame", "=", True)])
+    wanted = ("x_px", "y_px", "name", "visible_fraction")
+    shown = [("frame", "=", frame), ("in_frame", "=", True)]
+    rows = read_truth(product, "targets", wanted, shown)
     if rows is None:
         return
     draw = ImageDraw.Draw(picture)

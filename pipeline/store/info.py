@@ -58,10 +58,9 @@ def _read(path: Path) -> JsonObject:
     if not path.is_file():
         return {}
     try:
-        found: JsonObject = json.loads(path.read_text())
-    except ValueError as error:
+        return dict(json.loads(path.read_text()))
+    except (ValueError, TypeError) as error:
         raise Damaged(str(path), f"cannot be read ({error})") from None
-    return found
 
 
 def _scene(product: Path) -> JsonObject:

@@ -211,15 +211,22 @@ def with_images_of(path: Path, data: JsonObject, folder: Path | None) -> JsonObj
     if folder is not None and not folder.is_dir():
         raise BadInput("--images", str(folder), "a folder")
     known, data = _identity(path).get("images_sha256", {}), copy.deepcopy(data)
-    files = [file for file in sorted(folder.iterdir()) if file.is_file()] if folder else []
-    there = {file_digest(file): str(file) for file in files}
+    there = cache(lambda: _by_digest(folder))  # once, where one is gone
     for name, holder, key in path_holders(data):
         file = holder.get(key)
         if name.startswith(IMAGES) and isinstance(file, str) and not Path(file).exists():
-            if known.get(file) not in there:
+            if file not in known:
+                raise BadInput(name, file, "the file itself: the product does not say what it held")
+            if known[file] not in there():
                 raise BadInput(name, file, "a file that exists, or --images DIR with its content")
-            holder[key] = there[known[file]]
+            holder[key] = there()[known[file]]
     return data
+
+
+def _by_digest(folder: Path | None) -> dict[str, str]:
+    """The files in a folder, by their SHA-256."""
+    files = sorted(folder.iterdir()) if folder is not None else []
+    return {file_digest(file): str(file) for file in files if file.is_file()}
 
 
 def _is_bare_beginning(path: Path) -> bool:

@@ -67,8 +67,10 @@ def read_truth(
         return None
     pa = arrow()
     try:
-        known = pa.parquet.read_schema(path).names
-        wanted = known if columns is None else [name for name in columns if name in known]
+        wanted = None
+        if columns is not None:
+            known = pa.parquet.read_schema(path).names
+            wanted = [name for name in columns if name in known]
         return pa.parquet.read_table(
             path, columns=wanted, filters=filters and list(filters), page_checksum_verification=True
         )

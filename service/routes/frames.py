@@ -13,6 +13,7 @@ from fastapi import Path as InPath
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 
 from pipeline.store import layout
+from pipeline.store.seal import check_complete
 from service.context import Context, Service
 from service.problems import NotThere
 from service.products import frames
@@ -125,6 +126,7 @@ def truth(
     """Targets and the brightest stars in a frame: places, names, light, signal-to-noise."""
     with reading:
         product = _whole_product(service, job_id)
+        check_complete(product)
         return JSONResponse(_pixels().truth_of(product, frame, limit))
 
 

@@ -47,6 +47,19 @@ def test_every_file_is_fetched_whole(server: Any, finished: str, tmp_path: Path)
     assert not any(part.startswith(".") for f in files for part in f["path"].split("/"))
 
 
+def test_a_lost_truth_is_no_frame_without_targets(server: Any, finished: str) -> None:
+    """It is a fault, told to the server's log; there again, the targets are."""
+    table = server.home / "products" / finished.rpartition("/")[2] / "truth" / "targets.parquet"
+    content = table.read_bytes()
+    table.unlink()
+    try:
+        answer = server.client.get(f"{finished}/frames/0/truth")
+        assert answer.status_code == 500
+    finally:
+        table.write_bytes(content)
+    assert server.client.get(f"{finished}/frames/0/truth").json()["targets"]
+
+
 def test_listing_by_pages(server: Any, finished: str) -> None:
     whole = server.client.get(f"{finished}/results").json()["files"]
     found, path = [], f"{finished}/results?limit=7"

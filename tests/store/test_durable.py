@@ -189,8 +189,8 @@ def test_a_folder_may_have_a_colon_in_its_name(tmp_path, monkeypatch):
     """`-o run:1`: Arrow took the beginning of the path for that of a URL."""
     monkeypatch.chdir(tmp_path)
     folder = Path("run:1")
-    folder.mkdir()
-    with whole_file(folder / "stars.parquet") as own:
+    (folder / "truth").mkdir(parents=True)
+    with whole_file(folder / "truth" / "stars.parquet") as own:
         parquet.write_table(arrow.table({"a": [1]}), own)
     assert TruthTables(folder)["stars"]["a"].to_pylist() == [1]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 FAST_TURN_RAD = np.pi / 4  # of an oscillation between two nodes, from which it is blur
 FAST_STEP = 2.0  # time constants between two nodes, from which a process is blur
+SETTLED = 1e-9  # of a covariance, up to which it is rounding that changes it
 CLEAN = 1e8  # condition of the eigenvectors up to which a system is split into slow and fast
 
 
@@ -110,13 +111,17 @@ class ModeSplit:
     bend: Array
 
 
-def split(mode: Mode, slowest_s: float, step_s: float, exposure_s: float) -> ModeSplit:
+def split(
+    mode: Mode, slowest_s: float, step_s: float, exposure_s: float, span_s: float = 0.0
+) -> ModeSplit:
     """Slow and fast part of a mode, told by its eigenvalues.
 
     An eigenvalue is fast if it turns by more than FAST_TURN_RAD in `slowest_s`, or decays by more
     than FAST_STEP time constants; nodes are `step_s` apart. Means over a step are two thirds of
-    what is in its middle, as of a parabola.
+    what is in its middle, as of a parabola. span_s : after the epoch, when states that begin at
+    zero are as wide as they come to be
     """
+    mode = _grown(mode, span_s)
     value, vector = np.linalg.eig(mode.a)
     turns, decays = np.abs(value) * slowest_s > FAST_TURN_RAD, -value.real * slowest_s > FAST_STEP
     fast = np.where(value.imag != 0.0, turns, decays)
@@ -134,6 +139,15 @@ def split(mode: Mode, slowest_s: float, step_s: float, exposure_s: float) -> Mod
     rough = (2.0 / 3.0) * np.square(c_slow @ bridge(half).spread).sum(axis=1)
     off = (2.0 / 3.0) * _off_the_line(half, mode.start, c_slow)
     return ModeSplit(c_slow, variance, mean, rough, np.maximum(off - rough, 0.0))
+
+
+def _grown(mode: Mode, span_s: float) -> Mode:
+    """A mode as wide as it is after a time; itself where it has settled."""
+    step = discretise(mode.a, mode.b, span_s)
+    spread = step.transition @ mode.start @ step.transition.T + step.noise
+    size = np.sqrt(np.diag(spread))
+    moved = np.abs(spread - mode.start) > SETTLED * np.outer(size, size)
+    return replace(mode, start=spread) if moved.any() else mode
 
 
 def _off_the_line(half: LinearStep, start: Array, c: Array) -> Array:

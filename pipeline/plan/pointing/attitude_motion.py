@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array
 from pipeline.plan.accuracy import part_sigma
-from pipeline.plan.timing import frame_count, frame_times, integration_range_s
+from pipeline.plan.timing import end_s, frame_count, frame_times, integration_range_s
 from pipeline.spec.pointing.attitude import (
     AttitudeModel,
 )
@@ -31,8 +31,8 @@ SHARPEST_PX = 0.5  # rms of the images for which a wrong variance of blur is bou
 class MotionPlan:
     """How a scene's random motion is drawn.
 
-    nodes : of its path in each exposure, of which the longest lasts `longest_s`; between them it
-    is straight. split_hz : frequency above which waves are blur
+    nodes : of its path in each exposure; between them it is straight
+    slowest_s : what turns or decays far in this time is blur
     blur_px : rms of each axis drawn as blur; path_px : rms drawn as path
     left_px : rms of an exposure's mean that the blur leaves out, and of what the path is from
     straight; scatter : relative rms change of the blur's variance from exposure to exposure
@@ -41,7 +41,7 @@ class MotionPlan:
     """
 
     nodes: int
-    split_hz: float
+    slowest_s: float
     blur_px: float
     path_px: float
     left_px: float
@@ -56,9 +56,14 @@ class MotionPlan:
         return 4.0 * self.left_px + wrong_px2 / (2.0 * SHARPEST_PX**2)
 
     @property
-    def slowest_s(self) -> float:
-        """Time in which what turns and decays little is path."""
-        return 1.0 / (PER_PERIOD * self.split_hz)
+    def split_hz(self) -> float:
+        """Frequency above which waves are blur."""
+        return split_hz(self.slowest_s)
+
+
+def split_hz(slowest_s: float) -> float:
+    """Frequency of waves that have PER_PERIOD such times in a period."""
+    return 1.0 / (PER_PERIOD * slowest_s)
 
 
 def motion_plan(scene: Scene) -> MotionPlan | None:
@@ -67,8 +72,8 @@ def motion_plan(scene: Scene) -> MotionPlan | None:
     if model is None or not model.random:
         return None
     s = scene.sensor
-    times = integration_range_s(scene)
-    return _plan(model, *times, s.ifov_rad, 0.5 * math.hypot(*s.shape), part_sigma(scene))
+    times = (*integration_range_s(scene), end_s(scene))
+    return _plan(model, times, s.ifov_rad, 0.5 * math.hypot(*s.shape), part_sigma(scene))
 
 
 def fast_blur_px(scene: Scene) -> float:
@@ -80,27 +85,29 @@ def fast_blur_px(scene: Scene) -> float:
 @lru_cache(maxsize=16)
 def _plan(
     model: AttitudeModel,
-    shortest_s: float,
-    longest_s: float,
+    times_s: tuple[float, float, float],
     ifov_rad: float,
     corner_px: float,
     part: float,
 ) -> MotionPlan:
     """Fewest steps whose blur leaves out little, halved as long as that makes the path straighter:
     `part` is the error allowed, over the noise."""
+
+    def over(made: MotionPlan) -> float:
+        return max(made.left_px / LEFT_PX, made.error_sigma / part)  # of what is allowed
+
     steps = FEWEST - 1
     while True:
-        nodes, before = steps + 1, math.inf
-        while True:
-            made = _plan_with(model, steps, nodes, (shortest_s, longest_s), ifov_rad, corner_px)
-            over = max(made.left_px / LEFT_PX, made.error_sigma / part)  # of what is allowed
-            if over <= 1.0:
-                return made
-            if over > GAINED * before or nodes >= MOST_NODES:
+        nodes = steps + 1
+        best = _plan_with(model, steps, nodes, times_s, ifov_rad, corner_px)
+        while over(best) > 1.0 and nodes < MOST_NODES:
+            nodes = 2 * nodes - 1
+            finer = _plan_with(model, steps, nodes, times_s, ifov_rad, corner_px)
+            if over(finer) > GAINED * over(best):
                 break  # it is the blur that is wrong
-            nodes, before = 2 * nodes - 1, over
-        if steps >= MOST - 1:
-            return made
+            best = finer
+        if over(best) <= 1.0 or steps >= MOST - 1:
+            return best
         steps *= 2
 
 
@@ -108,41 +115,42 @@ def _plan_with(
     model: AttitudeModel,
     steps: int,
     nodes: int,
-    times_s: tuple[float, float],
+    times_s: tuple[float, float, float],
     ifov_rad: float,
     corner_px: float,
 ) -> MotionPlan:
-    """What a number of steps and nodes leads to; times_s : the shortest and longest exposure."""
+    """What a number of steps and nodes leads to; times_s : the shortest exposure, the longest, and
+    from the epoch to the end of all."""
     from pipeline.physics.motion.jitter import bend_variance, fast_part
     from pipeline.plan.pointing.motion_runs import jitter_bins, mode_of, mode_split
 
-    shortest_s, longest_s = times_s
-    split_hz, step_s = steps / (PER_PERIOD * longest_s), longest_s / (nodes - 1)
+    shortest_s, longest_s, last_s = times_s
+    slowest_s, step_s = longest_s / steps, longest_s / (nodes - 1)
+    hz = split_hz(slowest_s)
+    rough = max(1.0 - (shortest_s / longest_s) ** 3, ROUGH_SCATTER / math.sqrt(nodes - 1))
     blur, left, path = np.zeros(3), np.zeros(3), np.zeros(3)
-    scatter = 0.0
+    scatter, surplus = 0.0, 0.0
     for part in model.jitter:
-        bins = jitter_bins(part, split_hz)
-        fast = fast_part(bins, split_hz, shortest_s)
+        bins = jitter_bins(part, hz)
+        fast = fast_part(bins, hz, shortest_s)
         blur[:2] += fast.variance
-        left[:2] += fast.mean_variance + bend_variance(bins, split_hz, step_s)
+        left[:2] += fast.mean_variance + bend_variance(bins, hz, step_s)
         path[:2] += float(bins.variance.sum()) - fast.variance
         scatter = math.hypot(scatter, fast.scatter * fast.variance)
     for i, mode in enumerate(model.modes):
-        one, parts = mode_of(mode, i), mode_split(mode, i, longest_s / steps, step_s, shortest_s)
+        one, parts = mode_of(mode, i), mode_split(mode, i, slowest_s, step_s, shortest_s, last_s)
         blur += parts.variance + parts.rough
         left += parts.mean_variance + parts.bend + parts.rough / (2.0 * (nodes - 1))
         path += np.einsum("ij,jk,ik->i", parts.c_slow, one.start, parts.c_slow)
-        short = 1.0 - shortest_s / longest_s  # of the rough part, in the shortest exposure
-        rough = float(parts.rough[:2].max()) * max(short, ROUGH_SCATTER / math.sqrt(nodes - 1))
-        scatter = math.hypot(scatter, rough)
+        surplus += rough * float(parts.rough[:2].max())  # in the shortest exposure, if no scatter
     round_ = 0.5 * (blur[0] + blur[1])
     return MotionPlan(
         nodes,
-        split_hz,
+        slowest_s,
         math.sqrt(round_) / ifov_rad,
         math.sqrt(max(path[0], path[1])) / ifov_rad,
         math.sqrt(max(left[0], left[1])) / ifov_rad,
-        scatter / round_ if round_ else 0.0,
+        (scatter + surplus) / round_ if round_ else 0.0,
         math.sqrt(abs(blur[0] - blur[1]) / 2.0) / ifov_rad,
         math.sqrt(blur[2]) * corner_px,
     )
@@ -169,7 +177,7 @@ def random_motion_rad(scene: Scene, frames: NDArray[np.int64], nodes: int) -> Ar
     shortest, longest = integration_range_s(scene)
     step = longest / (plan.nodes - 1)
     for i, mode in enumerate(model.modes):
-        c = mode_split(mode, i, plan.slowest_s, step, shortest).c_slow
+        c = mode_split(mode, i, plan.slowest_s, step, shortest, end_s(scene)).c_slow
         if c.any():
             states = mode_states(scene, mode, i, frames, time, plan.nodes)
             for j in range(states.shape[-1]):

@@ -238,8 +238,8 @@ def _needs_more(scene: Scene, g: Geometry, nodes: int, paths: Array) -> NDArray[
 def bend_px(scene: Scene, g: Geometry, dut1_s: float) -> float:
     """How far paths of stars and targets are from straight lines between the nodes, at most [px].
 
-    Of those over and beside the frames of a geometry, without random motion: what that loses
-    between nodes is blur.
+    Of those over and beside the frames of a geometry, without random motion: how far that is from
+    straight is in its own plan.
     """
     each = [g.frame_slice(k) for k in range(len(g.frame))]
     if motion_plan(scene) is not None:

@@ -197,8 +197,7 @@ def _earth(scene: Scene, camera: Camera, attitude: Array, place_m: Array) -> Lam
         return Lamp(off_axis, off_frame, radius, seen, seen)
     down = unit(-place_m)
     off_axis = separation(attitude[:, 2], down)
-    pole = pole_at(parse_utc(scene.epoch))
-    radius = off_axis - limb_angle(place_m, attitude[:, 2], pole)  # towards what is looked at
+    radius = angular_radius(EARTH_EQUATORIAL_RADIUS_M, place_m)  # holds the ellipsoid
     return Lamp(off_axis, _off_frame(camera, attitude, down, off_axis), radius, seen, seen)
 
 
@@ -249,8 +248,8 @@ def hidden_rad(scene: Scene, place_m: Array, body_m: Array, elevation: Array) ->
         dip = math.acos(radius / (radius + max(o.height_m, 0.0)))
         return -elevation - dip - REFRACTED_RAD
     height, distance = (np.sqrt(np.sum(v**2, axis=-1)) for v in (place_m, body_m))
-    limb = angular_radius(EARTH_EQUATORIAL_RADIUS_M, place_m)
-    return np.where(distance < height, -np.pi, limb - separation(body_m, -place_m))
+    off_limb = limb_angle(place_m, body_m, pole_at(parse_utc(scene.epoch)))
+    return np.where(distance < height, -np.pi, -off_limb)
 
 
 def _off_frame(camera: Camera, attitude: Array, towards: Array, off_axis: Array) -> Array:

@@ -84,10 +84,10 @@ def mode_of(mode: Mode, index: int) -> flexible.Mode:
 
 @lru_cache(maxsize=256)
 def mode_split(
-    mode: Mode, index: int, slowest_s: float, step_s: float, exposure_s: float
+    mode: Mode, index: int, slowest_s: float, step_s: float, exposure_s: float, span_s: float
 ) -> flexible.ModeSplit:
     """What of a mode is path, and what blur."""
-    return flexible.split(mode_of(mode, index), slowest_s, step_s, exposure_s)
+    return flexible.split(mode_of(mode, index), slowest_s, step_s, exposure_s, span_s)
 
 
 @lru_cache(maxsize=64)

@@ -145,6 +145,21 @@ def test_how_far_modes_are_from_straight_lines(name: str) -> None:
     assert (told <= 1.3 * whole).all()
 
 
+def test_what_begins_at_zero_is_as_wide_as_it_becomes() -> None:
+    """A slow oscillator, and a fast one, in a system that has an integrator and never settles."""
+    for hz in (1.0, 500.0):
+        alone = oscillator(0, hz, 0.01, 2.0, None)
+        a, b, c = np.zeros((3, 3)), np.zeros((3, 2)), np.zeros((3, 3))
+        a[:2, :2], b[:2, :1], c[:, :2] = alone.a, alone.b, alone.c
+        b[2, 1] = 1.0
+        mixed = system(a, b, c)
+        assert not mixed.start.any()
+        told, wanted = split(mixed, 0.1, 0.1, 1.0, 1e3), split(alone, 0.1, 0.1, 1.0, 1e3)
+        for name in ("variance", "bend", "rough", "mean_variance"):
+            found = getattr(told, name)
+            assert found == pytest.approx(getattr(wanted, name), rel=1e-6, abs=1e-15), name
+
+
 @pytest.mark.parametrize("count", [1, 8])
 def test_steady_motion_is_straight(count: int) -> None:
     """A rate that hardly changes, and waves much longer than a step, leave nothing to blur."""

@@ -352,6 +352,20 @@ def test_slow_motion_is_a_path_and_no_blur(scene: Make, times_s: list[float]) ->
             assert np.sqrt(np.mean(off_px**2)) <= 2.0 * plan.left_px
 
 
+@pytest.mark.parametrize("time_s", [0.94, 0.3, 7.1, 1.0 / 3.0])
+def test_a_mode_is_path_or_blur_for_plan_and_drawing_alike(scene: Make, time_s: float) -> None:
+    """An oscillation of an eighth of a turn between nodes, to the last digit."""
+    mode = {"kind": "oscillator", "axis": "x", "frequency_hz": 1.0 / time_s, "damping": 1e-6,
+            "rms_arcsec": 3.0}  # fmt: skip
+    s = scene({"pointing": SIDEREAL | {"attitude": {"modes": [mode]}}, "stars": None,
+               "exposure.integration_s": time_s})  # fmt: skip
+    plan = motion_plan(s)
+    assert plan is not None
+    drawn = random_motion_rad(s, np.arange(2), plan.nodes).any()
+    assert drawn == (plan.path_px > 0.0)
+    assert drawn != (plan.blur_px > 0.1)
+
+
 def test_a_steady_rate_leaves_no_blur(scene: Make) -> None:
     """Of both axes alike: a streak that is straight loses nothing between its nodes."""
     modes = [{"kind": "rate_markov", "axis": axis, "time_constant_s": 1e6, "rms_arcsec_s": 8.0}

@@ -495,7 +495,7 @@ def test_stray_light_that_is_drawn_has_no_note(drawn: str) -> None:
 
 def test_what_stands_before_the_earth_is_not_hidden_by_it() -> None:
     """Seen from a million kilometres: the Moon on this side of the Earth, beside it and behind."""
-    far: Any = SimpleNamespace(observer=None)
+    far: Any = SimpleNamespace(observer=None, epoch="2019-07-20T09:00:00Z")
     place = np.tile([1e9, 0.0, 0.0], (3, 1))
     body = np.array([[3.8e8, 1e5, 0.0], [0.0, 3.8e8, 0.0], [-3.8e8, 1e5, 0.0]]) - place
     hidden = lamps.hidden_rad(far, place, body, np.zeros(3))

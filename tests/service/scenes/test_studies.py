@@ -116,7 +116,7 @@ def test_what_a_study_may_not_hold(server: Any) -> None:
     ("wrong", "pointer", "said"),
     [
         ({"axes": [{"field": "sensors.0.nope", "values": [1.0]}]}, "/axes/0", "known keys: "),
-        ({"axes": [{"field": "step_s", "values": [60.0, -1.0]}]}, "/axes/0", "1"),
+        ({"axes": [{"field": "step_s", "values": [60.0, -1.0]}]}, "/axes/0", "equal to 1"),
         ({"sensors": [SMALL["sensors"][0] | {"cameras": ["no"]}]}, "/sensors/0/cameras", "known"),
         ({"catalogue": {"populations": [{"path": "sent"}]}}, "/catalogue/populations/0/path", ""),
     ],
