@@ -102,8 +102,11 @@ Pairs = Iterator[tuple[Image, Image, Image]]
 
 
 def halves(data: Data, one: Drawn) -> Pairs:
-    """Two exposures of half the time, one after the other, gather as much."""
-    if data["pointing"].get("attitude"):
+    """Two exposures of half the time, one after the other, gather as much.
+
+    Jitter is a function of time; modes are drawn from frame to frame, so that two are another run.
+    """
+    if (data["pointing"].get("attitude") or {}).get("modes"):
         return
     half_s = 0.5 * data["exposure"]["integration_s"]
     exposure = {"integration_s": half_s, "frames": 2, "cadence_s": half_s}

@@ -159,8 +159,9 @@ def test_a_sun_that_has_half_set_is_in_sight() -> None:
     watch = w.watch(at)
     here = np.einsum("nij,nj->ni", watch.to_gcrs, watch.observer_m)
     sun = coord.get_sun(START + at * u.s).cartesian.xyz.to_value(u.m).T - here
-    limb = np.degrees(np.arcsin(6_378_137.0 / 9e6))
-    above = np.degrees(separation(sun, -here)) - limb  # of its middle
+    round_ = np.array([1.0, 1.0, 1.0 / (1.0 - 1.0 / 298.257_223_563)])  # the ellipsoid is a sphere
+    limb = np.degrees(np.arcsin(6_378_137.0 / np.linalg.norm(here * round_, axis=-1)))
+    above = np.degrees(separation(sun * round_, -here * round_)) - limb  # of its middle
     clear = np.abs(above + 0.266) > 0.02
     half = clear & (above > -0.266) & (above < 0.0)
     assert half.sum() > 3

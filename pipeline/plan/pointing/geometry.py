@@ -172,15 +172,25 @@ def _finer(scene: Scene, geometry: Geometry, dut1_s: float) -> Geometry:
         nodes = max(2 * nodes - 1, int(seen_from[left].min()))
         made = _geometry(scene, geometry.frame[left], nodes, dut1_s)
         paths = _star_paths(scene, made)
-    random = motion_plan(scene) is not None
-    if random:
-        finer = {k: _geometry(scene, g.frame, g.nodes, dut1_s, random) for k, g in finer.items()}
-        geometry = _geometry(scene, geometry.frame, geometry.nodes, dut1_s, random)
-        first = _star_paths(scene, geometry)
-    check_paths(scene, geometry, first)
+    _check_all(scene, geometry, first, finer)
+    if motion_plan(scene) is not None:
+        finer = {k: _geometry(scene, g.frame, g.nodes, dut1_s, True) for k, g in finer.items()}
+        geometry = _geometry(scene, geometry.frame, geometry.nodes, dut1_s, True)
+        try:
+            _check_all(scene, geometry, _star_paths(scene, geometry), finer)
+        except BadInput as error:
+            allowed = f"streaks of at most {LONGEST_STREAK_PX:.0f} px: weaker or slower motion"
+            raise BadInput("pointing.attitude", error.value, allowed) from None
+    return Refined.of(geometry, finer) if finer else geometry
+
+
+def _check_all(
+    scene: Scene, geometry: Geometry, paths: Array, finer: Mapping[int, Geometry]
+) -> None:
+    """Refuse absurd paths (`check_paths`) of frames that have more nodes, too."""
+    check_paths(scene, geometry, paths)
     for g in finer.values():
         check_paths(scene, g, _star_paths(scene, g))
-    return Refined.of(geometry, finer) if finer else geometry
 
 
 def _seen_from(scene: Scene, coarse: Geometry, dut1_s: float) -> NDArray[np.int64]:
