@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,7 +36,7 @@ from pipeline.store.product import (
     tiles_of,
     with_images_of,
 )
-from pipeline.store.seal import check_complete, check_sealed, seal
+from pipeline.store.seal import check_sealed, seal
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,9 +54,8 @@ def calibrate(product: Path, output: Path, images: Path | None = None) -> JsonOb
 
     images : folder that has those of the files which are gone from their places, by any names
     """
-    check_complete(product)
-    check_sealed(product)  # the copy would take over, and seal as whole, what is not as written
     cube = open_raw_cube(product)
+    check_sealed(product)  # the copy would take over, and seal as whole, what is not as written
     check_new(output)
     scene = parse_scene(parse_yaml(str(cube.attrs["scene"]), f"{product}: scene"))
     found = with_images_of(product, scene.as_dict(), images)
@@ -95,7 +93,7 @@ def _write(
     finish_cube(output, coordinates, dict(cube.attrs) | {"calibrated": True})
     picture = frame_picture(output, 0, mark=bool(scene.targets), layer=LAYER)
     layout.write_atomically(output / layout.PREVIEW, png_bytes(picture))
-    report = json.loads((product / layout.REPORT).read_text()) | {
+    report = layout.read_json(product / layout.REPORT) | {
         "content_digest": content_digest(output),
         "calibrated_from": str(product),
         "masked_pixels": int(max(masked, default=0)),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping
 from functools import cached_property
@@ -162,7 +161,7 @@ class Product:
         Damaged
             Where the file cannot be read.
         """
-        return self._json(layout.PLAN)
+        return layout.read_json(self.path / layout.PLAN)
 
     @cached_property
     def report(self) -> JsonObject:
@@ -178,15 +177,7 @@ class Product:
         Damaged
             Where the file cannot be read.
         """
-        return self._json(layout.REPORT)
-
-    def _json(self, name: str) -> JsonObject:
-        path = self.path / name
-        try:
-            content: JsonObject = json.loads(path.read_bytes())
-        except (OSError, ValueError) as error:
-            raise Damaged(str(path), f"cannot be read ({error})") from None
-        return content
+        return layout.read_json(self.path / layout.REPORT)
 
     def wcs(self, frame: int) -> WCS:
         """Astrometric ICRS of a frame, at the middle of its exposure, as an astropy WCS.

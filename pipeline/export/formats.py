@@ -25,7 +25,7 @@ from pipeline.export.picture import png_bytes
 from pipeline.export.response import source_light
 from pipeline.export.times import exposure_of
 from pipeline.store.cube import open_cube, read_layer
-from pipeline.store.layout import REPORT, write_atomically
+from pipeline.store.layout import REPORT, read_json, write_atomically
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -116,7 +116,7 @@ class _Job:
     def _noise_e(self) -> list[float]:
         """Noise of an empty pixel in the middle of each frame, or one number for all; of products
         of earlier versions that of the darkest place and the shortest exposure."""
-        report = json.loads((self.product / REPORT).read_text())
+        report = read_json(self.product / REPORT)
         return list(report.get("empty_noise_e", [report["errors"]["noise_floor_e"]]))
 
     def threshold_e(self, frame: int) -> float:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from catalog_tools.documents import JsonObject
-from pipeline.errors import Damaged
 from pipeline.spec.load import load_scene
 from pipeline.store import layout
 from pipeline.store.markers import markers_present
@@ -55,12 +53,7 @@ def describe(product: Path) -> JsonObject:
 
 
 def _read(path: Path) -> JsonObject:
-    if not path.is_file():
-        return {}
-    try:
-        return dict(json.loads(path.read_text()))
-    except (ValueError, TypeError) as error:
-        raise Damaged(str(path), f"cannot be read ({error})") from None
+    return layout.read_json(path) if path.is_file() else {}
 
 
 def _scene(product: Path) -> JsonObject:

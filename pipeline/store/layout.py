@@ -10,10 +10,11 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import TypeVar
 
+from catalog_tools.documents import JsonObject
 from catalog_tools.storage.durable import full_disk_told, write_atomically
 from catalog_tools.storage.durable import sync as sync_folder
 from catalog_tools.storage.urls import is_url
-from pipeline.errors import NO_ROOM, BadInput, TryLater
+from pipeline.errors import NO_ROOM, BadInput, Damaged, TryLater
 
 __all__ = [
     "full_disk",
@@ -77,6 +78,14 @@ def layers_in(product: Path) -> list[str]:
 def to_json(value: object) -> bytes:
     """Readable JSON; NaN and infinity are refused rather than written."""
     return (json.dumps(value, indent=2, allow_nan=False) + "\n").encode()
+
+
+def read_json(path: Path) -> JsonObject:
+    """What a small file of a product says. Damaged where it cannot be read."""
+    try:
+        return dict(json.loads(path.read_bytes()))
+    except (OSError, ValueError, TypeError) as error:
+        raise Damaged(str(path), f"cannot be read ({error})") from None
 
 
 def full_disk(product: Path) -> AbstractContextManager[None]:

@@ -19,7 +19,7 @@ from service.problems import NotThere
 from service.products import frames
 from service.products.archive import archive
 from service.routes.results import _product as complete_product
-from service.routes.results import scene_job
+from service.routes.results import scene_job, whole_product
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["frames"])
 Number = Annotated[int, InPath(ge=0, lt=2**31)]
@@ -34,7 +34,7 @@ def _begun_product(service: Context, job_id: str) -> Path:
 
 def _whole_product(service: Context, job_id: str) -> Path:
     """The product of a job that has drawn all of its frames."""
-    return complete_product(service, scene_job(service, job_id).id)
+    return whole_product(service, scene_job(service, job_id))
 
 
 def _pixels() -> Any:

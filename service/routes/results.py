@@ -28,8 +28,12 @@ def scene_job(service: Context, job_id: str) -> Job:
 
 def _product(service: Context, job_id: str) -> Path:
     """The product of a job that is complete. NotReady before."""
-    job = service.store.get(job_id)
-    product = service.settings.product(job_id)
+    return whole_product(service, service.store.get(job_id))
+
+
+def whole_product(service: Context, job: Job) -> Path:
+    """The product of a job, as of `_product`."""
+    product = service.settings.product(job.id)
     if job.phase != Phase.COMPLETED or not (product / layout.COMPLETE).is_file():
         raise NotReady(f"the job is {job.phase}: its product is not complete")
     return product

@@ -111,30 +111,36 @@ class ModeSplit:
     bend: Array
 
 
-def split(
-    mode: Mode, slowest_s: float, step_s: float, exposure_s: float, span_s: float = 0.0
-) -> ModeSplit:
-    """Slow and fast part of a mode, told by its eigenvalues.
+def slow_output(mode: Mode, slowest_s: float) -> Array:
+    """The output (3, n) of a mode's slow part, told by its eigenvalues.
 
-    An eigenvalue is fast if it turns by more than FAST_TURN_RAD in `slowest_s`, or decays by more
-    than FAST_STEP time constants; nodes are `step_s` apart. Means over a step are two thirds of
-    what is in its middle, as of a parabola. span_s : after the epoch, when states that begin at
-    zero are as wide as they come to be
+    One is fast if it turns by more than FAST_TURN_RAD in `slowest_s`, or decays by more than
+    FAST_STEP time constants.
     """
-    mode = _grown(mode, span_s)
     value, vector = np.linalg.eig(mode.a)
     turns, decays = np.abs(value) * slowest_s > FAST_TURN_RAD, -value.real * slowest_s > FAST_STEP
     fast = np.where(value.imag != 0.0, turns, decays)
     if fast.all():
-        c_slow = np.zeros_like(mode.c)
-    elif not fast.any() or np.linalg.cond(vector) > CLEAN:
-        c_slow = mode.c
-    else:
-        keep = np.where(fast, 0.0, 1.0)
-        c_slow = np.real((mode.c @ vector) * keep @ np.linalg.inv(vector))
+        return np.zeros_like(mode.c)
+    if not fast.any() or np.linalg.cond(vector) > CLEAN:
+        return mode.c
+    keep = np.where(fast, 0.0, 1.0)
+    return np.real((mode.c @ vector) * keep @ np.linalg.inv(vector))
+
+
+def split(
+    mode: Mode, slowest_s: float, step_s: float, exposure_s: float, span_s: float = 0.0
+) -> ModeSplit:
+    """Slow and fast part (`slow_output`) of a mode, between nodes `step_s` apart.
+
+    Means over a step are two thirds of what is in its middle, as of a parabola. span_s : after the
+    epoch, when states that begin at zero are as wide as they come to be
+    """
+    mode = _grown(mode, span_s)
+    c_slow = slow_output(mode, slowest_s)
     c_fast = mode.c - c_slow
     variance = np.einsum("ij,jk,ik->i", c_fast, mode.start, c_fast)
-    mean = mean_variance(mode, c_fast, exposure_s) if fast.any() else np.zeros(3)
+    mean = mean_variance(mode, c_fast, exposure_s) if c_fast.any() else np.zeros(3)
     half = discretise(mode.a, mode.b, 0.5 * step_s)
     rough = (2.0 / 3.0) * np.square(c_slow @ bridge(half).spread).sum(axis=1)
     off = (2.0 / 3.0) * _off_the_line(half, mode.start, c_slow)

@@ -165,7 +165,7 @@ def random_motion_rad(scene: Scene, frames: NDArray[np.int64], nodes: int) -> Ar
     plan, model = motion_plan(scene), scene.pointing.attitude
     if plan is None or model is None:
         return np.zeros((len(frames), nodes, 3))
-    from pipeline.plan.pointing.motion_runs import jitter_waves, mode_split, mode_states
+    from pipeline.plan.pointing.motion_runs import jitter_waves, mode_states, slow_output
 
     start, time = frame_times(scene, frames)
     at = np.linspace(0.0, 1.0, plan.nodes)
@@ -174,10 +174,8 @@ def random_motion_rad(scene: Scene, frames: NDArray[np.int64], nodes: int) -> Ar
     for i, part in enumerate(model.jitter):
         run = jitter_waves(part, i, scene.seed, plan.split_hz)
         out[..., :2] += run.at(t.ravel()).reshape(*t.shape, 2)
-    shortest, longest = integration_range_s(scene)
-    step = longest / (plan.nodes - 1)
     for i, mode in enumerate(model.modes):
-        c = mode_split(mode, i, plan.slowest_s, step, shortest, end_s(scene)).c_slow
+        c = slow_output(mode, i, plan.slowest_s)
         if c.any():
             states = mode_states(scene, mode, i, frames, time, plan.nodes)
             for j in range(states.shape[-1]):

@@ -82,6 +82,12 @@ def mode_of(mode: Mode, index: int) -> flexible.Mode:
     return flexible.rate_markov(axis, mode.time_constant_s, mode.rms_arcsec_s * ARCSEC_RAD)
 
 
+@lru_cache(maxsize=64)
+def slow_output(mode: Mode, index: int, slowest_s: float) -> Array:
+    """The output (3, n) of what of a mode is path."""
+    return flexible.slow_output(mode_of(mode, index), slowest_s)
+
+
 @lru_cache(maxsize=256)
 def mode_split(
     mode: Mode, index: int, slowest_s: float, step_s: float, exposure_s: float, span_s: float
