@@ -317,45 +317,33 @@ def _target_points(
 ) -> tuple[Array, Array, Array, Array]:
     """Targets as points along their paths, dense enough for the wings' grid, where they are near
     it: (x, y, light, core class of the target)."""
-    x: list[Array] = []
-    y: list[Array] = []
-    light: list[Array] = []
-    classes: list[Array] = []
-    for t in targets:
-        k_of = float(target_class(plan, t))
-        body_y, body_x, share = _POINT if t.body is None else t.body.points(1.0 / grid.spacing_px)
-        for k, count in enumerate(_counts(t.path, grid).tolist()):
-            ends = (t.path.x_px[k], t.path.x_px[k + 1], t.path.y_px[k], t.path.y_px[k + 1])
-            at = (_on_grid(grid, t, ends, count) + 0.5) / count
-            at_x = t.x_px + ends[0] + at * (ends[1] - ends[0])
-            at_y = t.y_px + ends[2] + at * (ends[3] - ends[2])
-            x.append(np.add.outer(body_x, at_x).ravel())
-            y.append(np.add.outer(body_y, at_y).ravel())
-            part = np.full(len(at), t.light_e * t.path.weight[k] / count)
-            light.append(np.multiply.outer(share, part).ravel())
-            classes.append(np.full(share.size * len(at), k_of))
-    if not x:
+    points = [_points_near(plan, t, grid) for t in targets]
+    if not points:
         return (np.empty(0),) * 4
-    return np.concatenate(x), np.concatenate(y), np.concatenate(light), np.concatenate(classes)
+    x, y, light, classes = (np.concatenate(of) for of in zip(*points, strict=True))
+    return x, y, light, classes
 
 
-def _on_grid(
-    grid: WingGrid, t: FrameTarget, ends: tuple[float, float, float, float], count: int
-) -> NDArray[np.int64]:
-    """Which of the even parts of a segment may have their middle on a grid."""
+def _points_near(plan: Plan, t: FrameTarget, grid: WingGrid) -> tuple[Array, Array, Array, Array]:
+    """A target as points, as `_target_points`: the even parts of its path's segments of which the
+    middle may be on the grid."""
+    x0, y0, dx, dy = t.path.x_px[:-1], t.path.y_px[:-1], np.diff(t.path.x_px), np.diff(t.path.y_px)
     far = 2.0 * grid.spacing_px
-    low = grid.x0_px - far - t.x_px, grid.y0_px - far - t.y_px
-    box = (
-        low[0],
-        low[0] + 2.0 * far + grid.columns * grid.spacing_px,
-        low[1],
-        low[1] + 2.0 * far + grid.rows * grid.spacing_px,
-    )
-    x0, y0, dx, dy = np.array([ends[0], ends[2], ends[1] - ends[0], ends[3] - ends[2]])
-    first, last = (float(v) for v in within(x0, y0, dx, dy, box))
-    if first > last:
-        return np.empty(0, np.int64)
-    return np.arange(max(0, int(first * count) - 1), min(count, int(last * count) + 2))
+    left, top = grid.x0_px - far - t.x_px, grid.y0_px - far - t.y_px
+    wide, high = (2.0 * far + n * grid.spacing_px for n in (grid.columns, grid.rows))
+    first, last = within(x0, y0, dx, dy, (left, left + wide, top, top + high))
+    met, count = np.flatnonzero(first <= last), _counts(t.path, grid)
+    begin = np.maximum(0, (first[met] * count[met]).astype(np.int64) - 1)
+    end = np.minimum(count[met], (last[met] * count[met]).astype(np.int64) + 2)
+    many = end - begin
+    k = np.repeat(met, many)
+    part = np.arange(len(k)) - np.repeat(np.cumsum(many) - many - begin, many)
+    at = (part + 0.5) / count[k]
+    body_y, body_x, share = _POINT if t.body is None else t.body.points(1.0 / grid.spacing_px)
+    x = np.add.outer(body_x, t.x_px + x0[k] + at * dx[k]).ravel()
+    y = np.add.outer(body_y, t.y_px + y0[k] + at * dy[k]).ravel()
+    light = np.multiply.outer(share, t.light_e * t.path.weight[k] / count[k]).ravel()
+    return x, y, light, np.full(x.size, float(target_class(plan, t)))
 
 
 def _middle_zone(plan: Plan, block: Tile) -> int:

@@ -210,32 +210,31 @@ def _ends_of_runs(x, y, w, tolerance_px):
     """Nodes that are kept: from each the last that one segment may reach, tried by halving."""
     n = len(w)
     keep, lights = [0], np.zeros(n + 1)
+    lights[1:] = np.cumsum(w)
     while keep[-1] < n:
-        start = keep[-1]
-        for i in range(start, n):
-            lights[i - start + 1] = lights[i - start] + w[i]
-        stop = n
+        start, stop = keep[-1], n
         while stop > start + 1:
-            half = (stop - start) // 2
+            half = start + (stop - start) // 2
             # The middle of a run is looked at before all of it.
-            off_px = _off_run(x, y, lights, start, stop, half)
-            if off_px <= tolerance_px:
-                for i in range(1, stop - start):
-                    off_px = max(off_px, _off_run(x, y, lights, start, stop, i))
-            if off_px <= tolerance_px:
+            straight = _off_run(x, y, lights, start, stop, half) <= tolerance_px
+            i = start + 1
+            while straight and i < stop:
+                straight = _off_run(x, y, lights, start, stop, i) <= tolerance_px
+                i += 1
+            if straight:
                 break
-            stop = start + max(1, half)
+            stop = max(half, start + 1)
         keep.append(stop)
     return np.array(keep)
 
 
 @njit(cache=True, nogil=True)
 def _off_run(x, y, lights, start, stop, i):
-    """How far the i-th node of a run is from where uniform motion has it [px]."""
-    total = lights[stop - start]
-    share = lights[i] / total if total > 0.0 else i / (stop - start)
-    off_x = x[start] + share * (x[stop] - x[start]) - x[start + i]
-    off_y = y[start] + share * (y[stop] - y[start]) - y[start + i]
+    """How far the i-th node, of a run, is from where uniform motion has it [px]."""
+    total = lights[stop] - lights[start]
+    share = (lights[i] - lights[start]) / total if total > 0.0 else (i - start) / (stop - start)
+    off_x = x[start] + share * (x[stop] - x[start]) - x[i]
+    off_y = y[start] + share * (y[stop] - y[start]) - y[i]
     return math.hypot(off_x, off_y)
 
 
