@@ -278,8 +278,8 @@ def add_beyond(
     """
     guard_brightness(plan, x, y, light_e)
     for blur, part_e in parts_of(plan, x, y, light_e):
-        seen = draw_quadrature(blur, path, image.shape, (tile.y0, tile.x0), y, x, reach_px, finer)
-        image += part_e * seen
+        window = image.shape, (tile.y0, tile.x0), y, x, reach_px, finer, plan.scene.sensor.shape
+        image += part_e * draw_quadrature(blur, path, *window)
 
 
 def _draw_piece(

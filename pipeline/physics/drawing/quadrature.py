@@ -2,6 +2,10 @@
 
 A transform errs by a fraction of the whole light in every pixel, a quadrature of the (positive)
 profile by a fraction of the light of that pixel, which its noise hides however bright the source.
+
+What falls on a pixel away from the source is what flows through its four sides (Gauss's theorem):
+a round profile f is the divergence of -(p / r^2) E(r), where E is the integral of f s ds from r on,
+the light beyond over 2 pi. One integral along each side stands for that over the area.
 """
 
 from __future__ import annotations
@@ -24,7 +28,8 @@ from pipeline.physics.psf.seeing import Moffat
 
 Array = NDArray[np.float64]
 
-RELATIVE = 1e-12  # error of a pixel over its light, and FAINTEST of the source's (tests)
+RELATIVE = 1e-12  # error of a pixel over its light, and FAINTEST of the source's; of one with a
+# share p of the light, far off or in a dark ring, over sqrt(p): less than this of its noise (tests)
 FAINTEST = 1e-25
 NODES = 12  # of a panel of the profile
 PANELS = 4.0  # to the scale of the optics
@@ -34,12 +39,11 @@ BLUR_SIGMA = 9.0  # a Gaussian blur reaches so far
 FEWEST, MOST, MORE = 6, 1024, 4  # nodes across a pixel, and how many more are tried next
 CONVERGED = 1e-12
 PLACES_PX = ((0.0, 0.0), (0.5, 0.5), (1.3, 0.6), (2.7, 3.4))  # where pixels must converge
-FAR_NODES, FAR_WIDTH_PX = 10, 0.5  # of pixels beyond NEAR_PX, and of their panels: of seeing
-NEAR_PX = 12.0  # from a source, beyond which the angle's few harmonics are interpolated
+NEAR_PX = 2.5  # from a source, beyond which pixels are integrated along their sides
 MOST_VALUES = 1e8  # pixels times points of a path that one source may cost: half a minute
 BAND_FLOOR = 1e-12
 NODE_S, VALUE_S = 3e-8, 8e-9  # of a node of a blur, of a value of a profile: one core
-FAR_S = 2e-7  # of a pixel far from a point of a path
+SIDE_S = 1.3e-8  # and of a node of a side
 FAR_SIGMA = 14.0  # a Gaussian holds all but 1e-42 of its light within it
 SPARE_PX = 4.0
 RADIUS_STEP = 2.0  # sources whose farthest pixels are so far apart share a profile
@@ -51,19 +55,21 @@ class Profile:
     """Light per px^2 over the distance from a source, per unit light.
 
     coefficients : (panels, NODES) powers of a panel's own coordinate, -1 to 1, lowest last
+    beyond : (panels, NODES) the same of E(r), by which light flows through sides
     width_px : of a panel
     rounded : (2, 2) matrix that takes (y, x) to where light of one level is a circle
     reach_px : distance beyond which there is no light, or none is asked for
     """
 
     coefficients: Array
+    beyond: Array
     width_px: float
     rounded: Array
     reach_px: float
 
     @property
     def numbers(self) -> tuple[Array, float, Array, float]:
-        """All of it, for compiled loops."""
+        """What the integral over an area takes, for compiled loops."""
         return self.coefficients, self.width_px, self.rounded, self.reach_px
 
 
@@ -94,14 +100,15 @@ def points_along(blur: Blur, path: Path) -> int:
 
 def profile_s(blur: Blur, radius_px: float) -> float:
     """About the CPU seconds of making what sources up to so far from a pixel are drawn with."""
-    (optics, _, spread), (n, width_px) = _round(blur), _far_rule(blur)
+    optics, _, spread = _round(blur)
     if isinstance(optics, Gaussian):
         return 0.0
-    nodes = HERMITE**2 * float(spread > 0.0)
+    parts = len(optics.parts) if isinstance(optics, Mixture) else 1
+    nodes = HERMITE**2 if spread else 1.0
     if spread >= NARROW * _scale(optics):
         nodes = NODES * (2.0 * BLUR_SIGMA * spread / min(_scale(optics), 2.0 * spread) + BLOCK)
-    far = (n // 2 + 2) * n * n / width_px
-    return radius_px * NODES * (NODE_S * nodes * PANELS / _scale(optics) + VALUE_S * far)
+    values = radius_px * NODES * PANELS / _scale(optics)
+    return values * (NODE_S * nodes + VALUE_S * parts)
 
 
 def drawn_s(blur: Blur, path: Path, pixels: int, near: float = 1.0) -> float:
@@ -109,8 +116,8 @@ def drawn_s(blur: Blur, path: Path, pixels: int, near: float = 1.0) -> float:
 
     near : share of such sources whose path crosses them; the others' passes by
     """
-    share = near * min(1.0, 2.0 * NEAR_PX / max(path.length_px, 2.0 * NEAR_PX))
-    return pixels * points_along(blur, path) * (FAR_S + share * VALUE_S * nodes_of(blur) ** 2)
+    n, around = nodes_of(blur), math.pi * NEAR_PX**2 * near
+    return points_along(blur, path) * n * (2.0 * SIDE_S * pixels + VALUE_S * around * n)
 
 
 def draw_quadrature(
@@ -122,29 +129,27 @@ def draw_quadrature(
     x_px: float,
     reach_px: float = math.inf,
     finer: bool = False,
+    frame: tuple[int, int] = (1, 1),
 ) -> Array:
     """Light of a source at (y, x) in each pixel, per unit light: (rows, columns) float64.
 
-    origin : frame pixel (y, x) of the first; every pixel is its own, whatever the window is
+    origin : frame pixel (y, x) of the first; every pixel is its own, whatever the window is in
+        a frame of that shape
     reach_px : of the light, which fades out over its last tenth as wings do (drawing/wings.py)
     finer : with half as many nodes more, and none of the pixels interpolated
     """
     n = nodes_of(blur) * 3 // 2 if finer else nodes_of(blur)
-    points = _points(blur, path, n, finer)
-    place = origin[0] - y_px, origin[1] - x_px
-    corners = [(place[0] + i * shape[0], place[1] + j * shape[1]) for i in (0, 1) for j in (0, 1)]
-    farthest = max(math.hypot(*c) for c in corners) + 1.5 * float(np.abs(points[:, :2]).max()) + 2.0
-    radius = min(_at_least(farthest), max(reach_px, 16.0))
+    points = _points(blur, path, n, finer) + [y_px, x_px, 0.0]
+    ends = [
+        (0, side, first, first + part)
+        for side, first, part in zip(frame, origin, shape, strict=True)
+    ]
+    corners = np.stack(np.meshgrid(*((min(e), max(e)) for e in ends)), axis=-1).reshape(4, 2)
+    farthest = np.linalg.norm(points[:, None, :2] - corners, axis=-1).max() + 2.0
+    profile = profile_of(blur, min(_at_least(farthest), max(reach_px, 16.0)) + SPARE_PX)
+    rule = points, *_pixel(blur, n), math.sqrt(blur.fill_factor), math.inf if finer else NEAR_PX
     out = np.zeros(shape)
-    profile = profile_of(blur, radius + SPARE_PX)
-    if finer or not np.array_equal(profile.rounded, np.eye(2)):
-        far, near_px, width_px = np.zeros((0, NODES, 0)), math.inf, 1.0
-    else:
-        far, near_px = far_pixels(blur, radius), NEAR_PX
-        width_px = _far_rule(blur)[1]
-    ends = CUT_FROM * reach_px, reach_px
-    table = far, width_px, near_px
-    _integrate(out, *place, points, *_pixel(blur, n), *profile.numbers, *table, *ends)
+    _integrate(out, *origin, *rule, profile.beyond, *profile.numbers, CUT_FROM * reach_px, reach_px)
     return out
 
 
@@ -165,12 +170,8 @@ def _pixels(blur: Blur, places_px: Sequence[tuple[float, float]], n: int) -> Arr
     """Light of the pixels (k,) whose centres are at (y, x) (k, 2) from a source at rest."""
     places = np.asarray(places_px, float)
     farthest = float(np.hypot(*places.T).max()) + 2.0
-    profile = profile_of(blur, _at_least(farthest) + SPARE_PX)
-    out, rest = np.zeros((len(places), 1, 1)), np.array([[0.0, 0.0, 1.0]])
-    nothing, ends = np.zeros((0, NODES, 0)), (1.0, math.inf, math.inf, math.inf)
-    for one, (y, x) in zip(out, places, strict=True):
-        _integrate(one, y, x, rest, *_pixel(blur, n), *profile.numbers, nothing, *ends)
-    return out[:, 0, 0]
+    numbers = profile_of(blur, _at_least(farthest) + SPARE_PX).numbers
+    return np.array([_pixel_at(y, x, *_pixel(blur, n), *numbers) for y, x in places])
 
 
 def _at_least(radius_px: float) -> float:
@@ -184,62 +185,28 @@ def _pixel(blur: Blur, n: int) -> tuple[Array, Array, Array]:
     return math.sqrt(blur.fill_factor) * at, blur.fill_factor * weight, weight
 
 
-@lru_cache(maxsize=16)
-def far_pixels(blur: Blur, radius_px: float) -> Array:
-    """What a pixel far from a source at rest collects, over distance and angle from a row.
-
-    (panels, NODES, harmonics): powers of a panel's coordinate, of each cosine of four times the
-    angle; nothing is in panels nearer than NEAR_PX. Squares look alike at every quarter turn.
-    """
-    profile, (n, width_px) = profile_of(blur, radius_px + SPARE_PX), _far_rule(blur)
-    radius_px = min(radius_px, profile.reach_px)
-    count = math.ceil(radius_px / width_px) + 1
-    harmonics = n // 2 + 2
-    turn = np.pi * (np.arange(harmonics) + 0.5) / harmonics
-    cosines = np.cos(np.outer(turn, np.arange(harmonics))) * 2.0 / harmonics
-    cosines[:, 0] *= 0.5
-    at, to_powers = _panel()
-    r = ((np.arange(count)[:, None] + 0.5 * (at + 1.0)) * width_px).ravel()
-    first = max(0, math.floor(NEAR_PX / width_px) - 1)
-    values = np.zeros((len(r), harmonics))
-    _around(values, r, turn / 4.0, first * NODES, *_pixel(blur, n), *profile.numbers)
-    values = (values[:, :, None] * cosines).sum(axis=1)
-    size = np.abs(values)
-    shown = (size > 1e-14 * size[:, :1] + FAINTEST).any(axis=0)
-    kept = int(np.flatnonzero(shown).max(initial=0)) + 1
-    values = values[:, :kept].reshape(count, NODES, kept)
-    return np.ascontiguousarray(np.einsum("pkm,ck->pcm", values, to_powers))
-
-
-def _far_rule(blur: Blur) -> tuple[int, float]:
-    """Nodes across a pixel far from a source, and width of the panels of such pixels [px].
-
-    Light that falls as a power of the distance is as smooth there as the distance is long; rings
-    are as narrow everywhere.
-    """
-    n, width_px = nodes_of(blur), _scale(_round(blur)[0]) / PANELS
-    if isinstance(blur.optics, Moffat):
-        return min(n, FAR_NODES), max(width_px, FAR_WIDTH_PX)
-    return n, width_px
-
-
 @lru_cache(maxsize=32)
 def profile_of(blur: Blur, radius_px: float) -> Profile:
     """The profile of a response up to a radius; what it holds does not depend on the radius."""
     optics, rounded, spread = _round(blur)
     width = _scale(optics) / PANELS
-    if isinstance(optics, Gaussian):
-        radius_px = min(
-            radius_px,
-            FAR_SIGMA * float(np.abs(np.linalg.inv(rounded)).max()) * 1.5 * optics.sigma_px
-            + SPARE_PX,
-        )
+    if isinstance(optics, Gaussian):  # wherever it is asked for, it ends where its light does
+        widest = float(np.abs(np.linalg.inv(rounded)).max()) * 1.5 * optics.sigma_px
+        radius_px = FAR_SIGMA * widest + SPARE_PX
     count = math.ceil(radius_px * float(np.linalg.norm(rounded, 2)) / width) + 1
-    at, to_powers = _panel()
-    r = (np.arange(count)[:, None] + 0.5 * (at + 1.0)) * width
+    r = (np.arange(count)[:, None] + 0.5 * (_panel() + 1.0)) * width
     values = _blurred(optics, spread, r, width) if spread else _intensity(optics, r)
-    values *= abs(float(np.linalg.det(rounded)))
-    return Profile(np.einsum("pk,ck->pc", values, to_powers), width, rounded, radius_px - 2.0)
+    light = _powers(values * abs(float(np.linalg.det(rounded))))
+    return Profile(light, _powers(_beyond(values * r, width)), width, rounded, radius_px - 2.0)
+
+
+def _beyond(values: Array, width_px: float) -> Array:
+    """E at the nodes (panels, NODES): the integral of these values from there to the end of all."""
+    power = np.arange(NODES, 0, -1)
+    mean = 0.5 * width_px * _powers(values) / power
+    after = np.cumsum((mean @ (1.0 - (-1.0) ** power))[::-1])[::-1]
+    to_end = mean @ (1.0 - _panel() ** power[:, None])
+    return np.asarray(to_end + np.append(after[1:], 0.0)[:, None])
 
 
 def _round(blur: Blur) -> tuple[Optics, Array, float]:
@@ -251,7 +218,7 @@ def _round(blur: Blur) -> tuple[Optics, Array, float]:
         return optics, np.eye(2), spread
     c, s = math.cos(optics.angle_rad), math.sin(optics.angle_rad)
     major, minor = (math.hypot(v, spread) for v in (optics.sigma_major_px, optics.sigma_minor_px))
-    return Gaussian(1.0), np.array([[s / major, c / major], [c / minor, -s / minor]]), 0.0
+    return Gaussian(1.0), np.array([[s / major, c / major], [-c / minor, s / minor]]), 0.0
 
 
 def _scale(optics: Optics) -> float:
@@ -304,10 +271,20 @@ def _mean_around(optics: Optics, sigma_px: float, r_px: Array) -> Array:
     return out
 
 
-def _panel() -> tuple[Array, Array]:
-    """Chebyshev nodes (NODES,) of a panel, and the matrix from values there to powers."""
-    at = np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
-    return at, np.linalg.inv(np.vander(at, NODES))
+def _panel() -> Array:
+    """Chebyshev nodes (NODES,) of a panel."""
+    return np.asarray(np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES))
+
+
+def _powers(values: Array) -> Array:
+    """Powers (panels, NODES), highest first, of what has these values at the nodes: by way of
+    Chebyshev's polynomials, which keeps all their digits."""
+    k = np.arange(NODES)
+    found = values @ np.cos(np.outer(np.arccos(_panel()), k)) * (2.0 / NODES)
+    found[:, 0] *= 0.5
+    to_powers = [np.polynomial.chebyshev.cheb2poly(np.eye(NODES)[i]) for i in k]
+    table = np.array([np.append(p, np.zeros(NODES - p.size)) for p in to_powers])
+    return np.ascontiguousarray((found @ table)[:, ::-1])
 
 
 def _unit(n: int) -> tuple[Array, Array]:
@@ -368,70 +345,73 @@ def _pixel_at(y, x, at, down, along, coefficients, width, rounded, reach):
     return total
 
 
-@njit(cache=True, nogil=True)
-def _around(out, radii, angles, first, at, down, along, coefficients, width, rounded, reach):
-    """Pixels at radii (k,) from `first` on and angles (m,) from a source at rest: out (k, m)."""
-    for k in range(first, radii.size):
-        for m in range(angles.size):
-            y, x = radii[k] * np.sin(angles[m]), radii[k] * np.cos(angles[m])
-            out[k, m] = _pixel_at(y, x, at, down, along, coefficients, width, rounded, reach)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _side(y, x, down, right, at, weights, beyond, width, rounded):
+    """What flows across a pixel's side, whose middle is at (y, x) from the source: of one that runs
+    `down` to the right, of one that runs `right` upwards."""
+    a, b = rounded[0, 0] * y + rounded[0, 1] * x, rounded[1, 0] * y + rounded[1, 1] * x
+    c = rounded[0, 0] * down + rounded[0, 1] * right
+    d = rounded[1, 0] * down + rounded[1, 1] * right
+    total = 0.0
+    for i in range(at.size):
+        v, u = a + at[i] * c, b + at[i] * d
+        square = v * v + u * u
+        t = np.sqrt(square) / width
+        k = int(t)
+        t = 2.0 * (t - k) - 1.0
+        value = beyond[k, 0]
+        for m in range(1, NODES):
+            value = value * t + beyond[k, m]
+        total += weights[i] * value / square
+    return (b * c - a * d) * total
 
 
 @njit(cache=True, nogil=True)
 def _integrate(
     out,
-    y0,
-    x0,
+    row,
+    column,
     points,
     at,
     down,
     along,
+    side,
+    near_px,
+    beyond,
     coefficients,
     width,
     rounded,
     reach,
-    far,
-    far_width,
-    near_px,
     fades,
     ends,
 ):
-    """Adds the light of each pixel: (y0, x0) is the first one's centre from the source."""
-    terms, last = np.empty(far.shape[2]), min(reach, ends) ** 2
-    for r in range(out.shape[0]):
-        for c in range(out.shape[1]):
-            total = 0.0
-            for p in range(points.shape[0]):
-                y, x = y0 + r - points[p, 0], x0 + c - points[p, 1]
+    """Adds the light of each pixel (the first is in row and column), of a source at points (P, 3).
+
+    Neighbours whose squares touch share the side between them.
+    """
+    half, touch, last = 0.5 * side, side == 1.0, min(reach, ends) ** 2  # the tables end there
+    table = at, side * along, beyond, width, rounded
+    below, found = np.empty(out.shape[1]), np.empty(out.shape[1], np.int64)
+    for p in range(points.shape[0]):
+        found[:] = -1
+        for r in range(out.shape[0]):
+            y, beside, right = row + r - points[p, 0], -1, 0.0
+            for c in range(out.shape[1]):
+                x = column + c - points[p, 1]
                 square = y * y + x * x
-                if square >= last:  # the tables may end there
+                if square >= last:
                     continue
                 if square < near_px * near_px:
                     value = _pixel_at(y, x, at, down, along, coefficients, width, rounded, reach)
                 else:
-                    value = _far_at(y, x, square, far, far_width, terms)
+                    x0, x1 = column + c - half - points[p, 1], column + c + half - points[p, 1]
+                    y0, y1 = row + r - half - points[p, 0], row + r + half - points[p, 0]
+                    left = right if touch and beside == c else _side(y, x0, 1.0, 0.0, *table)
+                    above = below[c] if touch and found[c] == r else _side(y0, x, 0.0, 1.0, *table)
+                    right, below[c] = _side(y, x1, 1.0, 0.0, *table), _side(y1, x, 0.0, 1.0, *table)
+                    beside, found[c] = c + 1, r + 1
+                    value = left - right + below[c] - above
                 if square > fades * fades:
                     t = min(1.0, max(0.0, (ends - np.sqrt(square)) / (ends - fades)))
                     value *= t * t * t * (10.0 + t * (6.0 * t - 15.0))
-                total += points[p, 2] * value
-            out[r, c] += total
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _far_at(y, x, square, far, width, terms):
-    """A far pixel from its harmonics: Horner's rule for each, Clenshaw's sum of them."""
-    t = np.sqrt(square) / width
-    k = int(t)
-    t = 2.0 * (t - k) - 1.0
-    for m in range(terms.size):
-        terms[m] = far[k, 0, m]
-    for power in range(1, NODES):
-        for m in range(terms.size):
-            terms[m] = terms[m] * t + far[k, power, m]
-    # cos 4a from tan a: cos 2a = (x^2 - y^2) / r^2, doubled once more.
-    twice = (x * x - y * y) / square
-    cosine = 2.0 * twice * twice - 1.0
-    one, two = 0.0, 0.0
-    for m in range(terms.size - 1, 0, -1):
-        one, two = terms[m] + 2.0 * cosine * one - two, one
-    return terms[0] + cosine * one - two
+                out[r, c] += points[p, 2] * value
