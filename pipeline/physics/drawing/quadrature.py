@@ -367,6 +367,15 @@ def _side(y, x, down, right, at, weights, beyond, width, rounded):
 
 
 @njit(cache=True, nogil=True)
+def _left(square, fades, ends):
+    """Part of light that is left at a distance, given its square."""
+    if square <= fades * fades:
+        return 1.0
+    t = min(1.0, max(0.0, (ends - np.sqrt(square)) / (ends - fades)))
+    return t * t * t * (10.0 + t * (6.0 * t - 15.0))
+
+
+@njit(cache=True, nogil=True)
 def _integrate(
     out,
     row,
@@ -411,7 +420,4 @@ def _integrate(
                     right, below[c] = _side(y, x1, 1.0, 0.0, *table), _side(y1, x, 0.0, 1.0, *table)
                     beside, found[c] = c + 1, r + 1
                     value = left - right + below[c] - above
-                if square > fades * fades:
-                    t = min(1.0, max(0.0, (ends - np.sqrt(square)) / (ends - fades)))
-                    value *= t * t * t * (10.0 + t * (6.0 * t - 15.0))
-                out[r, c] += points[p, 2] * value
+                out[r, c] += points[p, 2] * value * _left(square, fades, ends)

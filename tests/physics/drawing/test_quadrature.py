@@ -152,7 +152,7 @@ def test_where_light_ends() -> None:
 
 def test_no_table_is_read_beyond_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pixels farther than the light reaches, but nearer than the profile: each index is checked."""
-    for name in ("_pixel_at", "_side", "_integrate"):
+    for name in ("_pixel_at", "_side", "_left", "_integrate"):
         monkeypatch.setattr(quadrature, name, getattr(quadrature, name).py_func)
     blur, reach = Blur(Airy(1.3), 0.4), 31.0
     for first in range(24, 44, 2):
