@@ -10,16 +10,18 @@ import numpy as np
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Geometry
 from pipeline.execute.blocks import target_class
-from pipeline.execute.sources import FrameTarget, place_targets, streaks
+from pipeline.execute.sources import FrameTarget, place_targets
 from pipeline.execute.truth import brightest_pixel_e, matched_snr, snr_of, target_magnitudes
 from pipeline.physics.drawing.quadrature import drawn_s
-from pipeline.physics.motion.streak import POINT
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.air import star_transmission
 from pipeline.plan.pointing.geometry import plan_geometry
+from pipeline.plan.pointing.star_paths import star_paths
 from pipeline.plan.resolved import ResolvedScene
+from pipeline.plan.response.own_paths import paths_through
 
 SNR_AT_LIMIT = 5.0
+LIMIT_MERGE_PX = 1e-3  # that the path of a source at the limit may be off by
 LOOKED_AT = 8  # frames, evenly through the scene
 PLACED = 2000  # targets placed in all of them together, at most; one frame is always looked at
 TOLD = 100  # targets that are told one by one
@@ -119,19 +121,18 @@ def target_snr(plan: Plan, g: Geometry, names: tuple[str, ...]) -> dict[str, flo
 def limiting_light_e(plan: Plan, g: Geometry) -> float:
     """Light of a point source in the middle of the field whose matched-filter SNR is 5 [e-].
 
-    It moves as the stars there do, or stands still where the scene has no stars. Infinite where
-    no light reaches that SNR, or where the scene has neither stars nor targets and so no response.
+    It moves as a star there does, whether the scene has stars or not. Infinite where no light
+    reaches that SNR, where a star leaves the sky before the camera in one exposure, or where the
+    scene has neither stars nor targets and so no response.
     """
-    if not plan.responses.classes:
-        return math.inf
-    path = POINT
-    if plan.scene.stars is not None:
-        paths = streaks(plan, g)
-        path = paths[len(paths) // 2].path
     rows, columns = plan.scene.sensor.shape
+    x, y = np.array([(columns - 1) / 2]), np.array([(rows - 1) / 2])
+    places = star_paths(plan.camera, g, x, y, plan.scene.star_effects["aberration"])[:, :, 0]
+    if not (plan.responses.classes and np.isfinite(places).all()):
+        return math.inf
+    [path] = paths_through(places - places[..., [g.middle]], np.array([LIMIT_MERGE_PX]))
     light = np.geomspace(1e-3, 1e12, 601)
-    at = np.full(601, (columns - 1) / 2), np.full(601, (rows - 1) / 2)
-    snr = matched_snr(plan, path, light, *at, int(g.frame[0]))
+    snr = matched_snr(plan, path, light, x.repeat(601), y.repeat(601), int(g.frame[0]))
     if snr[-1] < SNR_AT_LIMIT:
         return math.inf
     return float(np.exp(np.interp(math.log(SNR_AT_LIMIT), np.log(snr), np.log(light))))

@@ -37,6 +37,7 @@ KERNEL_BYTES = 128e6  # of the wings of blocks, that a process keeps
 TABLE_BYTES = 192e6  # of the cores, spectra and tables that a process keeps
 KERNEL_BYTES_PER_POINT = 18.0  # while a wing is made
 TEST_BYTES_PER_POINT = 60.0  # while a wing's error is measured
+CORE_BYTES = 50.0  # of a sample of a core, while it is made
 SLOW_S = 0.05  # a frame's geometry: where planning took more, its measured time counts
 CLASSES_USED = 3  # of the core classes, by the sources of a usual scene
 
@@ -166,7 +167,7 @@ def _memory_mb(plan: Plan, forecast: StarForecast | None, spent: Spent) -> dict[
         "base": BASE_MB + (LIBRARY_MB if r.classes else 0.0),
         "tile": rows * columns * 8.0 * (8 + len(plan.scene.output.layers)) / 1e6,
         "stars": stars * STAR_BYTES / 1e6,
-        "tables": r.table_mb,
+        "tables": r.table_mb + max(0.0, _core_mb(plan) - LIBRARY_MB),
     }
     if _in_crowds(plan, stars):
         pixels = min(math.prod(plan.scene.sensor.shape), BLOCK_PX**2)
@@ -178,6 +179,12 @@ def _memory_mb(plan: Plan, forecast: StarForecast | None, spent: Spent) -> dict[
         out["wings"] = (still + max(making, TEST_BYTES_PER_POINT * _test_points(plan))) / 1e6
         out["sweeps"] = _grid_points(plan, spent.excursion_px) * 8.0 * classes / 1e6 - still / 1e6
     return out
+
+
+def _core_mb(plan: Plan) -> float:
+    """Memory of making the largest core [MB]; usual ones are in LIBRARY_MB."""
+    radius_px, finest = plan.responses.reach_core_px, map(oversampling_for, plan.responses.blurs)
+    return CORE_BYTES * (2.0 * radius_px * max(finest)) ** 2 / 1e6 if radius_px else 0.0
 
 
 def _grid_points(plan: Plan, excursion_px: float) -> float:

@@ -244,3 +244,58 @@ def test_same_paths_of_stars_worked_out_together():
     assert together == [
         exact_path(plan.camera, g, float(a), float(b), True) for a, b in zip(x, y, strict=True)
     ]
+
+
+def moffat_table(per_px: int, side: int) -> np.ndarray:
+    """Light of seeing, FWHM 2.5 px, cut off where it is not 0 yet."""
+    at = (np.arange(side) - (side - 1) / 2) / per_px
+    return (1.0 + (at[:, None] ** 2 + at**2) / 6.0) ** -3.0
+
+
+def pixels_of_a_gaussian(side: int) -> np.ndarray:
+    """Pixels, one sample each, of sigma 1 px."""
+    at = np.arange(side + 1) - side / 2
+    one = np.diff([0.5 * math.erf(x / 2**0.5) for x in at])
+    return np.outer(one, one)
+
+
+@pytest.mark.parametrize(
+    ("table", "per_px", "collected", "told"),
+    [
+        (moffat_table(4, 81), 4, False, None),
+        (moffat_table(2, 51), 2, False, None),
+        (pixels_of_a_gaussian(25), 1, True, "core_ends"),
+        (np.ones((5, 5)), 5, False, "sensor.psf: 'a table with 0.0"),
+    ],
+    ids=["fine", "noisier", "coarse", "box"],
+)
+def test_what_rings_between_the_samples_of_a_table_is_told(
+    tmp_path, table, per_px, collected, told
+):
+    """Band-limited samples have no end: their cores' end is measured, and found as stated."""
+    np.save(tmp_path / "psf.npy", table)
+    psf = {"kind": "table", "path": str(tmp_path / "psf.npy"), "samples_per_px": per_px,
+           "includes_pixel": collected}  # fmt: skip
+    data = scene_data(psf, accuracy={"check_cells": 4})
+    data["targets"][0]["body"]["diameter_m"] = 100.0
+    if told:
+        with pytest.raises(BadInput, match=told):
+            prepare(parse_scene(data))
+        if told != "core_ends":
+            return
+    report = render(parse_scene(data | {"accept": ["error"]}), tmp_path / "p")["errors"]
+    assert report["as_stated"]
+    assert 0.0 < report["achieved_error_sigma"] <= report["bound_of_all_approximations_sigma"]
+    assert (report["achieved_error_sigma"] > 0.05) == (told == "core_ends")
+
+
+@pytest.mark.parametrize(("major_px", "fits"), [(2.0, True), (50.0, False)])
+def test_an_image_far_longer_than_wide(major_px, fits):
+    """Of 50 px by 0.05 px it took 24 GB to plan; its memory is in the forecast."""
+    psf = {"kind": "gaussian", "sigma_px": major_px, "sigma_minor_px": 0.05}
+    if fits:
+        plan = prepare(parse_scene(scene_data(psf))).plan
+        assert predict(plan, None)["worker_memory_mb"] > 350.0
+        return
+    with pytest.raises(BadInput, match="sensor.psf: '64 samples a pixel over 401.5 px around'"):
+        prepare(parse_scene(scene_data(psf)))

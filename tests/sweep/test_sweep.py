@@ -172,6 +172,20 @@ def test_a_sky_without_sources_and_a_streak_that_noise_hides_have_no_limit(sweep
         assert (row["limiting_light_e"], row["limiting_g_mag"]) == (None, None)
 
 
+def test_the_limit_moves_as_stars_do_where_the_scene_has_none(sweep_file, tmp_path):
+    """A camera that turns: the same light is needed with a catalogue and without one."""
+    turning = {"pointing.mode": "rate", "pointing.rate_ra_arcsec_s": 40.0,
+               "pointing.rate_dec_arcsec_s": 0.0, "accept": ["coverage", "sun", "moon"]}  # fmt: skip
+    axes = [{"field": "exposure.integration_s", "values": [0.01, 0.5]}]
+    found = []
+    for name, more in {"stars": {}, "none": {"stars": None}}.items():
+        path = sweep_file(axes, turning | more, metrics=["limiting_magnitude"])
+        sweep(path, tmp_path / name, Options("synchronous"))
+        found.append([row["limiting_light_e"] for row in table(tmp_path / name).to_pylist()])
+    assert found[1] == pytest.approx(found[0], rel=1e-3)
+    assert found[1][1] > 1.5 * found[1][0]
+
+
 def test_metrics_take_each_frames_own_time(sweep_file, tmp_path):
     """Frames of 0.5 and 2 s: every metric is that of its own frame, as of scenes of one time."""
     plain = {"background.uniform_mag_arcsec2": None, "background.uniform_e_per_s": 30.0,

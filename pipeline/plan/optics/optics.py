@@ -47,6 +47,7 @@ ARCSEC_RAD = math.radians(1.0 / 3600.0)
 SMALLEST_Q, LARGEST_Q = 0.02, 64.0
 LARGEST_CORE_PX = 256.0
 LARGEST_CORE_SAMPLES = 1024  # radius times samples a pixel: what one transform may hold
+LARGEST_WHOLE_SAMPLES = 2048  # the same without wings, where nothing else draws what is beyond
 FASTEST_F_NUMBER = 0.5
 LOWEST_SINE, NOTICED = 0.05, 1.02  # of elevation, for the airmass; what seeing may be wider unsaid
 MOST_BLUR_PX = 50.0  # rms per axis, of fast motion of the pointing and of charge diffusion
@@ -247,6 +248,29 @@ def check_scale(kind: str, blur: Blur) -> None:
         f"{SMALLEST_Q} px to {LARGEST_Q:g} px, a core of at most {most:.4g} px: another pitch, "
         "focal length or wavelength, weaker aberrations, or a gaussian",
     )
+
+
+def check_core(blur: Blur, radius_px: float) -> None:
+    """BadInput for a response without wings whose core, of a radius, takes too many samples."""
+    per_px = oversampling_for(blur)
+    if radius_px * per_px > LARGEST_WHOLE_SAMPLES:
+        raise BadInput(
+            "sensor.psf",
+            f"{per_px} samples a pixel over {radius_px:.4g} px around",
+            f"at most {LARGEST_WHOLE_SAMPLES / per_px:.4g} px of details so sharp: an image less "
+            "elongated, or smaller",
+        )
+
+
+def check_ringing(share: float, most: float) -> None:
+    """BadInput where so much of the light lies between and beyond the samples of a table."""
+    if share > most:
+        raise BadInput(
+            "sensor.psf",
+            f"a table with {share:.2g} of its light beyond its samples",
+            f"at most {most:g} (accuracy.flux_fraction), as band-limited samples ring on: more "
+            "samples_per_px, or a table that falls to 0 at its edges",
+        )
 
 
 def open_fraction(optics: Optics, band: BandOptics | None) -> float:

@@ -185,6 +185,7 @@ def core_ends(r: ResponsePlan, brightest_e: float, floor_e: float) -> Decision:
     usual, whole = r.classes
     brightest, share = brightest_e or usual.target_e, end_share_of(r)
     bound = float(core_end_e(r, np.array([brightest]))[0])
+    bound += max(map(table_error, r.blurs)) * brightest
     reason = (
         f"light beyond {usual.radius_px:.3g} px of a source is omitted, {r.lost_light:.2g} of it, "
         f"at most {share:.2g} in a pixel; beyond {whole.radius_px:.3g} px for sources above "

@@ -28,6 +28,8 @@ from pipeline.plan.facts import Facts
 from pipeline.plan.optics.optics import (
     LARGEST_CORE_PX,
     LARGEST_CORE_SAMPLES,
+    check_core,
+    check_ringing,
     check_scale,
     missing_light,
 )
@@ -205,7 +207,7 @@ def plan_responses(
     if any(b.has_wings for b in blurs):
         found = _with_wings(scene, facts, camera, ends, blurs, path, streaks)
     else:
-        found = _without_wings(facts, blurs)
+        found = _without_wings(scene, facts, blurs)
     cores, for_targets, spacing, reach, cut = found
     limited = zip(
         _limited(cores, facts.budget_e, served),
@@ -260,10 +262,23 @@ def _with_wings(
     return cores, for_targets, spacing, reach, CUT_FROM * reach
 
 
-def _without_wings(facts: Facts, blurs: tuple[Blur, ...]) -> tuple[Cores, Cores, int, float, float]:
-    """As `_with_wings`, of responses whose light ends by itself."""
+def _without_wings(
+    scene: Scene, facts: Facts, blurs: tuple[Blur, ...]
+) -> tuple[Cores, Cores, int, float, float]:
+    """As `_with_wings`, of responses whose light ends by itself; but what lies between the samples
+    of a table has no end, and its cores are as large as the table."""
     usual, whole = (max(_radius_holding(b, e) for b in blurs) for e in NOTHING_BEYOND)
-    cores = ((usual, facts.budget_e / NOTHING_BEYOND[0], 0.0), (whole, math.inf, NOTHING_BEYOND[1]))
+    tables = [b for b in blurs if isinstance(b.optics, Sampled)]
+    for b in blurs:
+        check_core(b, whole)
+    for b in tables:
+        check_ringing(ringing(b, whole).share, scene.accuracy.flux_fraction)
+    ends = (
+        max([least, *(end_share(b, radius) for b in tables)])
+        for least, radius in zip(NOTHING_BEYOND, (usual, whole), strict=True)
+    )
+    at_usual, at_whole = ends
+    cores = ((usual, facts.budget_e / at_usual, 0.0), (whole, math.inf, at_whole))
     steep = [b for b in blurs if isinstance(b.optics, Gaussian | EllipticalGaussian)]
     reach = max([whole, *(_radius_holding(b, FAINTEST) / CUT_FROM for b in steep)])
     return cores, cores, 0, reach, usual
@@ -544,8 +559,42 @@ def end_share(blur: Blur, radius_px: float) -> float:
     The light of a square pixel as bright as the brightest place beyond the core (of the light
     before pixels collect it), up to which it is smooth; no more than all the light beyond.
     """
+    if isinstance(blur.optics, Sampled):
+        return ringing(blur, radius_px).lacking
     if (beyond := blur.light_beyond(radius_px)) < NONE_BEYOND:
         return beyond
+    image, distance_px, os = _around_edge(blur, radius_px)
+    return float(np.abs(image[distance_px >= radius_px - 0.71 / os]).max() * os**2)
+
+
+@dataclass(frozen=True)
+class Ringing:
+    """What lies between the samples of a table has no end, and is of both signs.
+
+    lacking : most that a pixel lacks, or has too much, where a core ends, per unit light
+    share : how much more or less than all the light is within the core
+    below : how far pixels are below 0
+    """
+
+    lacking: float
+    share: float
+    below: float
+
+
+@lru_cache(maxsize=32)
+def ringing(blur: Blur, radius_px: float) -> Ringing:
+    """Of a table whose core has such a radius, from the image itself, as pixels collect it."""
+    image, distance_px, os = _around_edge(blur, radius_px)
+    beyond = np.where(distance_px > radius_px, image, 0.0)
+    f = scipy.fft.fftfreq(len(image), 1.0 / os), scipy.fft.rfftfreq(len(image), 1.0 / os)
+    pixel = blur.pixel(f[0][:, None], f[1][None, :]) * os**2
+    lost, seen = (scipy.fft.irfft2(scipy.fft.rfft2(v) * pixel, s=v.shape) for v in (beyond, image))
+    lacking, below = float(np.abs(lost).max()), float(-seen.min(initial=0.0))
+    return Ringing(lacking, float(abs(beyond.sum())), below)
+
+
+def _around_edge(blur: Blur, radius_px: float) -> tuple[Array, Array, int]:
+    """Light before pixels collect it, around and beyond a radius, distances, samples a pixel."""
     period = 2 * math.ceil(EDGE_OVER * radius_px) + 4
     os = oversampling_for(blur)
     os *= FINER_EDGE if FINER_EDGE * os * period <= MOST_EDGE else 1
@@ -553,8 +602,15 @@ def end_share(blur: Blur, radius_px: float) -> float:
     at = scipy.fft.fftfreq(n, 1.0 / n) / os
     fy, fx = scipy.fft.fftfreq(n, 1.0 / os), scipy.fft.rfftfreq(n, 1.0 / os)
     image = scipy.fft.irfft2(blur.image(fy[:, None], fx[None, :]), s=(n, n))
-    beyond = np.hypot(at[:, None], at[None, :]) >= radius_px - 0.71 / os
-    return float(np.abs(image[beyond]).max() * os**2)
+    return image, np.hypot(at[:, None], at[None, :]), os
+
+
+def below_zero(r: ResponsePlan) -> float:
+    """How far pixels of a source of unit light are below 0, by a table's ringing."""
+    tables = [b for b in r.blurs if isinstance(b.optics, Sampled)]
+    if r.spacing_px or not r.classes:
+        return 0.0
+    return max((ringing(b, r.classes[-1].radius_px).below for b in tables), default=0.0)
 
 
 def core_end_e(r: ResponsePlan, light_e: Array) -> Array:
@@ -569,7 +625,9 @@ def core_end_e(r: ResponsePlan, light_e: Array) -> Array:
 
 def end_share_of(r: ResponsePlan) -> float:
     """Most that a pixel lacks where usual cores without wings end, per unit light."""
-    return min(r.lost_light, max(end_share(b, r.classes[0].radius_px) for b in r.blurs))
+    share = max(end_share(b, r.classes[0].radius_px) for b in r.blurs)
+    tables = any(isinstance(b.optics, Sampled) for b in r.blurs)
+    return share if tables else min(r.lost_light, share)
 
 
 def _reach(blur: Blur, scene: Scene) -> float:

@@ -184,7 +184,9 @@ def _of_all(r: ResponsePlan, s: KnownSources, cell: NDArray[np.int64]) -> dict[s
     """
     light_e, table = _together(cell, s.light_e), max(map(table_error, r.blurs))
     if not r.spacing_px:
-        return {"core_ends": _within(r, cell, core_end_e(r, s.light_e)), TABLES: table * light_e}
+        ends_e = core_end_e(r, s.light_e)
+        beyond_e = _together(cell, np.maximum(0.0, ends_e - r.budget_e))  # of coarse tables alone
+        return {"core_ends": _within(r, cell, ends_e) + beyond_e, TABLES: table * light_e}
     error_e = (s.wing_error + table) * s.light_e
     seen = error_e > UNSEEN * error_e.max(initial=0.0)
     place = s.frame[seen], s.x_px[seen], s.y_px[seen]
