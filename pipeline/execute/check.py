@@ -25,7 +25,7 @@ from pipeline.execute.sources import (
 from pipeline.execute.tables import core_of, kernel_of
 from pipeline.physics.drawing.direct import draw_direct, reach_px, terms
 from pipeline.physics.drawing.extended import draw_body, spread_body
-from pipeline.physics.drawing.quadrature import has_profile, nodes_of, points_along, profile_s
+from pipeline.physics.drawing.quadrature import has_profile, nodes_of, points_of, profile_s
 from pipeline.physics.drawing.wings import (
     WingGrid,
     add_wings,
@@ -292,7 +292,7 @@ def _quadrature_cost(plan: Plan, at: Tile, group: Group, most: float) -> float |
     r = plan.responses
     if len(light) != 1 or not all(has_profile(b) for b in r.blurs):
         return None
-    values = max(1.5 * points_along(b, path) * (1.5 * nodes_of(b)) ** 2 for b in r.blurs)
+    values = max(len(points_of(b, path, True)) * (1.5 * nodes_of(b)) ** 2 for b in r.blurs)
     cost = at.rows * at.columns * values
     if light[0] > min(r.classes[-1].brightest_e, r.classes[-1].target_e):
         return cost

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -21,6 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pipeline.physics.drawing.wings import CUT_FROM
+from pipeline.physics.motion.points import points_along, points_per_px
 from pipeline.physics.motion.streak import Path
 from pipeline.physics.psf.band import Mixture
 from pipeline.physics.psf.pupil import Airy, Blur, EllipticalGaussian, Gaussian, Optics
@@ -47,7 +48,6 @@ SIDE_S = 1.3e-8  # and of a node of a side
 FAR_SIGMA = 14.0  # a Gaussian holds all but 1e-42 of its light within it
 SPARE_PX = 4.0
 RADIUS_STEP = 2.0  # sources whose farthest pixels are so far apart share a profile
-LONGEST_PX = 96.0  # of a path, that one rule goes along
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,17 +85,30 @@ def affordable(blur: Blur, path: Path, shape: tuple[int, int]) -> bool:
     """Whether a source with such a path can be drawn by quadrature in a frame."""
     if not has_profile(blur):
         return False
-    along = points_along(blur, path)
+    most = MOST_VALUES / math.prod(shape)
     if isinstance(blur.optics, EllipticalGaussian):
-        along *= nodes_of(blur) ** 2 // 16
-    return math.prod(shape) * along <= MOST_VALUES
+        most /= nodes_of(blur) ** 2 // 16
+    if points_per_px(blur.band_limit(BAND_FLOOR)) * path.length_px > 2.0 * most:
+        return False  # runs of segments may take fewer
+    return len(points_of(blur, path)) <= most
 
 
-def points_along(blur: Blur, path: Path) -> int:
-    """Points of a path, and of the steps of a charge, that each pixel sums."""
-    lengths = np.hypot(np.diff(path.x_px), np.diff(path.y_px))
-    count = int(_counts(blur, lengths).sum())
-    return count * (nodes_of(blur) if blur.clock_px else 1)
+def points_of(blur: Blur, path: Path, finer: bool = False) -> Array:
+    """(points, 3) y, x and share of the light along a path, and of the steps of a charge, that each
+    pixel sums. finer : for a band half as wide again, on each segment by itself
+    """
+    band, n = blur.band_limit(BAND_FLOOR), nodes_of(blur)
+    if finer:
+        path, band, n = replace(path, off_px=0.0), 1.5 * band, n * 3 // 2
+    x, y, share = points_along(path, band)
+    points = np.stack([y, x, share], axis=1)
+    if not blur.clock_px:
+        return points
+    at, weight = _unit(n)
+    stepped = np.repeat(points, n, axis=0)
+    stepped[:, 0] += blur.clock_px * np.tile(at, len(points))
+    stepped[:, 2] *= np.tile(weight, len(points))
+    return stepped
 
 
 def profile_s(blur: Blur, radius_px: float) -> float:
@@ -117,7 +130,7 @@ def drawn_s(blur: Blur, path: Path, pixels: int, near: float = 1.0) -> float:
     near : share of such sources whose path crosses them; the others' passes by
     """
     n, around = nodes_of(blur), math.pi * NEAR_PX**2 * near
-    return points_along(blur, path) * n * (2.0 * SIDE_S * pixels + VALUE_S * around * n)
+    return len(points_of(blur, path)) * n * (2.0 * SIDE_S * pixels + VALUE_S * around * n)
 
 
 def draw_quadrature(
@@ -139,7 +152,7 @@ def draw_quadrature(
     finer : with half as many nodes more, and none of the pixels interpolated
     """
     n = nodes_of(blur) * 3 // 2 if finer else nodes_of(blur)
-    points = _points(blur, path, n, finer) + [y_px, x_px, 0.0]
+    points = points_of(blur, path, finer) + [y_px, x_px, 0.0]
     ends = [
         (0, side, first, first + part)
         for side, first, part in zip(frame, origin, shape, strict=True)
@@ -291,36 +304,6 @@ def _unit(n: int) -> tuple[Array, Array]:
     """Gauss-Legendre nodes on -1/2 ... 1/2, and weights of sum one."""
     at, weight = np.polynomial.legendre.leggauss(n)
     return 0.5 * at, 0.5 * weight
-
-
-def _counts(blur: Blur, lengths_px: Array) -> NDArray[np.intp]:
-    """Gauss-Legendre nodes along so many px, each: of all waves of the response's band."""
-    parts = np.ceil(lengths_px / LONGEST_PX)
-    waves = blur.band_limit(BAND_FLOOR) * lengths_px / np.maximum(parts, 1.0)
-    each = np.ceil(1.75 * waves + 16.0 * np.minimum(1.0, np.sqrt(waves)) + 2.0)
-    return np.where(lengths_px > 0.0, parts * each, 1.0).astype(np.intp)
-
-
-def _points(blur: Blur, path: Path, n: int, finer: bool) -> Array:
-    """(points, 3) y, x and share of the light along a path, and of the steps of a charge."""
-    out = []
-    rows_px, columns_px = np.diff(path.y_px), np.diff(path.x_px)
-    lengths_px = np.hypot(rows_px, columns_px)
-    counts = _counts(blur, lengths_px)
-    for k, (dy, dx) in enumerate(zip(rows_px, columns_px, strict=True)):
-        parts = max(1, math.ceil(lengths_px[k] / LONGEST_PX))
-        at, weight = _unit(int(counts[k]) // parts * (3 if finer else 2) // 2)
-        along = ((np.arange(parts)[:, None] + 0.5 + at) / parts).ravel()
-        share = np.tile(weight / parts, parts) * path.weight[k]
-        out.append(np.stack([path.y_px[k] + along * dy, path.x_px[k] + along * dx, share], axis=1))
-    points = np.concatenate(out)
-    if not blur.clock_px:
-        return points
-    at, weight = _unit(n)
-    stepped = np.repeat(points, n, axis=0)
-    stepped[:, 0] += blur.clock_px * np.tile(at, len(points))
-    stepped[:, 2] *= np.tile(weight, len(points))
-    return stepped
 
 
 @njit(cache=True, nogil=True)
