@@ -16,7 +16,7 @@ from pipeline.errors import BadInput
 from pipeline.inputs.npy import read_npy
 from pipeline.physics.constants import SUN_RADIUS_RAD
 from pipeline.physics.meshes import brdf
-from pipeline.physics.meshes.brdf_table import BrdfTable, brdf_table
+from pipeline.physics.meshes.brdf_table import BrdfTable, brdf_table, sun_rings
 from pipeline.physics.meshes.intensity import Brdf, FacetSurface
 from pipeline.spec.targets.mesh import (
     AshikhminShirleySurface,
@@ -35,6 +35,7 @@ LARGEST_TABLE_BYTES = 100_000_000
 # Sharper highlights than these are drawn with the Sun as a disc of 0.53 degrees: below, it changes
 # their peak by less than 1%
 SHARP_EXPONENT, SHARP_ROUGHNESS, SUN_RINGS = 400.0, 0.05, 3
+MOST_RINGS = 64  # for a table, whose peaks are tried
 RINGS_A_HIGHLIGHT = 2.0 * SUN_RADIUS_RAD  # two of the disc within each highlight's width [rad]
 ASYMMETRY = 0.05  # more than measured tables have by their error
 
@@ -74,13 +75,13 @@ class Palette:
             self._made[key] = len(self._surfaces)
             self._surfaces.append(surface)
             if isinstance(request, TableSurface) and isinstance(surface.brdf, BrdfTable):
-                self.notices += _doubts(surface.brdf, Path(request.path).name)
+                self.notices += _doubts(surface.brdf, surface.sun_rings, Path(request.path).name)
             self._digest.update(_told(request).encode() + content)
         return self._made[key]
 
 
-def _doubts(table: BrdfTable, name: str) -> list[str]:
-    """What is said of a table that does not reach all directions, or is not reciprocal."""
+def _doubts(table: BrdfTable, rings: int, name: str) -> list[str]:
+    """What is said of a table that ends early, is not reciprocal, or as fine as the Sun's rings."""
     axes = {"theta_i": table.theta_i_rad, "theta_o": table.theta_o_rad, "phi": table.phi_rad}
     ends = {key: float(np.rad2deg(axis[-1])) for key, axis in axes.items()}
     short = [
@@ -93,6 +94,11 @@ def _doubts(table: BrdfTable, name: str) -> list[str]:
         told += [
             f"{name}: its BRDF differs by up to {table.asymmetry:.2g} of its largest value where "
             "Sun and observer change places; no surface does so, and the mean of both is drawn"
+        ]
+    if rings == MOST_RINGS:
+        told += [
+            f"{name}: its BRDF has highlights as fine as the {rings} rings that stand for the "
+            "Sun's disc: their light may be off by more than 1%"
         ]
     return told
 
@@ -108,7 +114,8 @@ def make_surface(request: Reflecting, field: str = "surface") -> tuple[FacetSurf
     """The surface that a scene describes, and the bytes of the file it was read from, if any."""
     if isinstance(request, TableSurface):
         table, raw = read_brdf_table(Path(request.path), request.scale, field)
-        return FacetSurface(table, request.two_sided), raw
+        rings = sun_rings(table, SUN_RADIUS_RAD, SUN_RINGS, MOST_RINGS)
+        return FacetSurface(table, request.two_sided, rings), raw
     given, sharp = FORMULAS[type(request)](request)
     rings = max(SUN_RINGS, math.ceil(RINGS_A_HIGHLIGHT / request.highlight_rad)) if sharp else 0
     return FacetSurface(given, request.two_sided, rings), b""

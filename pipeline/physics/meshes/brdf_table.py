@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.errors import BadInput
+from pipeline.physics.meshes.intensity import sun_points
 
 Array = NDArray[np.float64]
 
 FIELD = "brdf"
 MOST_LIGHT = 1.02  # a measured albedo may lie above 1 by its error
 STEPS = 64
+UNSEEN = 0.01  # share of a peak that the Sun's disc may change
+RINGS_A_STEP = 4.0  # of the disc within each step of a table: it has nothing finer
+PEAKS = 16  # of each theta_o, those that the disc changes most, for which rings are counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +110,48 @@ def brdf_table(
     if share > MOST_LIGHT:
         raise BadInput(field, f"a surface that reflects {share:.3g} of the light", "at most all")
     return made
+
+
+def sun_rings(table: BrdfTable, radius_rad: float, fewest: int, most: int) -> int:
+    """Rings of `sun_points`, `fewest` to `most`, that hold a table's peaks to 1%.
+
+    None where the Sun's disc changes no peak by more. Peaks are the brightest Sun for each theta_o
+    and phi; they count as shares of the brightest at that theta_o. As compared with as many rings
+    as the table's steps ask for.
+    """
+    axes = (table.theta_i_rad, table.phi_rad)
+    step = min(float(np.diff(axis).min(initial=np.pi)) for axis in axes)
+    finest = min(max(fewest, math.ceil(RINGS_A_STEP * radius_rad / step)), most)
+    rings = 0
+    for k, theta_o in enumerate(table.theta_o_rad):
+        lit = table.value[:, k] * np.cos(table.theta_i_rad)[:, None]
+        peak = table.theta_i_rad[lit.argmax(axis=0)]
+        unseen = UNSEEN * float(lit.max())
+        light = partial(_light, table, theta_o, radius_rad)
+        lost = np.abs(light(peak, table.phi_rad, fewest) - lit.max(axis=0))
+        if lost.max() <= unseen:
+            continue
+        changed = np.argsort(lost)[-PEAKS:]
+        some = peak[changed], table.phi_rad[changed]
+        best = light(*some, finest)
+        near = UNSEEN * float(best.max())
+        while rings < finest and np.abs(light(*some, rings) - best).max() > near:
+            rings = min(max(fewest, 2 * rings), finest)
+    return rings
+
+
+def _light(
+    table: BrdfTable, theta_o_rad: float, radius_rad: float, theta_i: Array, phi: Array, rings: int
+) -> Array:
+    """BRDF (n.s) (n,) at angles theta_i and phi (n,) of the Sun's middle, mean over its disc."""
+    across, up = np.sin(theta_i), np.cos(theta_i)
+    normal = np.stack([across, 0.0 * across, up], axis=-1)
+    along = np.stack([-up, 0.0 * across, across], axis=-1)
+    side = np.cos(phi)[:, None] * along + np.sin(phi)[:, None] * np.array([0.0, 1.0, 0.0])
+    observer = np.cos(theta_o_rad) * normal + np.sin(theta_o_rad) * side
+    points = sun_points(np.array([0.0, 0.0, 1.0]), radius_rad, rings)[:, None]
+    lit = np.maximum(np.sum(normal * points, axis=-1), 0.0)
+    return np.asarray(np.mean(table(normal, points, observer) * lit, axis=0))
 
 
 def _rises(axis: Array, top_rad: float) -> bool:

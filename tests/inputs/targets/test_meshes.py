@@ -802,3 +802,64 @@ def test_the_suns_disc_in_the_sharpest_highlights(exponent):
     lit = [float(made.brdf(z[None], p, z)[0]) for p in sun_points(z, radius, made.sun_rings)]
     x = 0.5 * exponent * radius**2
     assert np.mean(lit) / made.brdf(z[None], z, z)[0] == pytest.approx(-np.expm1(-x) / x, rel=6e-3)
+
+
+def _lobe(angle_rad, sigma_deg):
+    """BRDF of a round highlight of so many radians from the mirror's direction."""
+    sigma = np.radians(sigma_deg)
+    return 0.2 * np.exp(-0.5 * (angle_rad / sigma) ** 2) / (2.0 * np.pi * sigma**2)
+
+
+def _glossy_table(path, sigma_deg, step_deg, most_deg):
+    """A table of `_lobe` for Sun and observer about the normal, matt farther off."""
+    angles = np.unique([*np.arange(0.0, most_deg, step_deg), most_deg, 90.0])
+    turns = np.arange(0.0, 181.0, 4.0)
+    i, o, phi = (v.ravel() for v in np.meshgrid(angles, angles, turns, indexing="ij"))
+    s, n, p = np.radians(i), np.radians(o), np.radians(phi)
+    x, y = np.sin(s) + np.sin(n) * np.cos(p), np.sin(n) * np.sin(p)
+    off = 2.0 * np.arcsin(np.minimum(np.sqrt(x**2 + y**2 + (np.cos(s) - np.cos(n)) ** 2) / 2, 1.0))
+    glossy = np.where(np.maximum(i, o) < most_deg, _lobe(off, sigma_deg), 0.0)
+    np.save(path, np.stack([i, o, phi, 0.02 + glossy], axis=1))
+    return {"kind": "table", "path": str(path)}
+
+
+@pytest.mark.parametrize(("sigma_deg", "step_deg"), [(0.15, 0.05), (0.5, 0.1), (1.0, 0.2)])
+def test_a_sharp_table_sees_the_sun_as_a_disc(tmp_path, sigma_deg, step_deg):
+    """By a sum over the disc; by its middle alone that of 0.15 deg was 1.8 times too bright."""
+    surface = _glossy_table(tmp_path / "t.npy", sigma_deg, step_deg, 5.0 * sigma_deg + 1.0)
+    model = gather_mesh(body(write(tmp_path, CUBE), surface=surface))
+    assert model.notices == ()
+    radius, (r, turn) = 4.652e-3, np.meshgrid((np.arange(100) + 0.5) / 100, np.arange(360) + 0.5)
+    across, along = (radius * r * f(np.radians(turn)) for f in (np.cos, np.sin))
+
+    def seen(sun_deg, observer_deg):
+        s, o = ([np.sin(a), 0.0, np.cos(a)] for a in np.radians([sun_deg, -observer_deg]))
+        return model_light(model, [s], [o], [0.0], 1e-3, radius)[0][0]
+
+    for sun_deg in (0.0, 1.0):
+        peak = None
+        for off_deg in (0.0, 0.3, 0.5):
+            value = 0.02 + _lobe(np.hypot(across + np.radians(off_deg), along), sigma_deg)
+            wanted = float(np.average(value, weights=r))
+            peak = peak or wanted
+            found = seen(sun_deg, sun_deg + off_deg)
+            assert found == pytest.approx(wanted, abs=0.03 * peak)
+
+
+@pytest.mark.parametrize(("sigma_deg", "step_deg", "rings"), [(0.5, 0.1, True), (8.0, 1.0, False)])
+def test_only_sharp_tables_ask_for_rings(tmp_path, sigma_deg, step_deg, rings):
+    surface = _glossy_table(tmp_path / "t.npy", sigma_deg, step_deg, 4.0 if rings else 90.0)
+    made, _ = make_surface(TypeAdapter(Reflecting).validate_python(surface))
+    assert (made.sun_rings > 0) == rings
+    np.save(tmp_path / "matt.npy", _rows())
+    matt = {"kind": "table", "path": str(tmp_path / "matt.npy")}
+    assert make_surface(TypeAdapter(Reflecting).validate_python(matt))[0].sun_rings == 0
+
+
+def test_a_table_finer_than_the_rings_of_the_suns_disc_is_told(tmp_path):
+    surface = _glossy_table(tmp_path / "t.npy", 0.005, 0.002, 0.04)
+    rows = np.load(tmp_path / "t.npy")
+    rows[:, 3] *= 0.02 / rows[:, 3].max()  # as bright as a surface can be between so few angles
+    np.save(tmp_path / "t.npy", rows)
+    told = gather_mesh(body(write(tmp_path, CUBE), surface=surface)).notices
+    assert any("t.npy: its BRDF has highlights as fine as the 64 rings" in t for t in told)
