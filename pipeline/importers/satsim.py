@@ -25,7 +25,20 @@ RA_DEG, DEC_DEG = 180.0, 0.0
 SUN_MAG = -26.74  # SatSim's own, in its lambertian_sphere
 BAND = {"kind": "named", "name": "bessell-V"}
 ADC_BITS = {"uint8": 8, "uint16": 16, "uint32": 32}
-IGNORED = ("version", "sim")  # how SatSim computes, not what
+# How SatSim computes and what it writes, not what it draws: keys of its `sim`.
+COMPUTING = """
+analytical_obs analytical_obs_frame apply_star_wrap_around calculate_snr czml_samples
+enable_deflection enable_earth_shadow enable_fov_filter enable_light_transit enable_profiler
+enable_shot_noise enable_stellar_aberration fits_compression fov_filter_radius mode
+num_shot_noise_samples num_target_samples padding point_rendering psf_sample_frequency render_size
+samples save_cloud_transmission save_czml save_ground_truth save_jpeg save_movie save_pickle
+save_segmentation show_obs_boxes show_star_boxes spacial_osf spatial_osf star_annotation_threshold
+star_catalog_query_mode star_render_mode temporal_osf velocity_units
+epsf.batch_element_budget epsf.batch_size epsf.crop epsf.fallback_to_fft_for_models
+epsf.$cache epsf.kernel_size epsf.normalize epsf.phase_oversample epsf.psf_generation_padding
+epsf.psf_generation_size
+"""
+IGNORED = ("version", *(f"sim.{key}" for key in COMPUTING.split()))
 TRUTH = ("mv_truth", "pe_truth")  # of an object: what comes out
 DEEPEST = 64  # levels of lists and mappings in a file
 

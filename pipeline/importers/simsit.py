@@ -51,7 +51,7 @@ def read_simsit(
     notes = Notes()
     chosen = f.whole("seed", 0, 2**62, 0) if seed is None else seed
     rng = np.random.default_rng(chosen)
-    for key in ("meta", "outdir", "n_demo"):  # names of files and contests
+    for key in ("seed", "meta", "outdir", "n_demo"):  # and names of files and contests
         f.get(key)
     images: dict[str, NDArray[np.float32]] = {}
     sensor = _sensor(f, rng, images, scene_name(path), notes)

@@ -238,6 +238,17 @@ def test_shot_noise_is_switched_off_as_the_file_says(satsim):
         satsim({"sim.enable_shot_noise": 1})
 
 
+def test_unknown_keys_of_satsims_sim_are_told(satsim):
+    """As those of other sections; not how it computes and what it writes."""
+    known = {"sim.render_size": "full", "sim.save_movie": True, "sim.star_render_mode": "fft"}
+    known |= {"sim.mode": "epsf", "sim.epsf": {"kernel_size": 9, "normalize": False}}
+    assert "no such thing" not in " ".join(satsim(known).notes.left_out)
+    unknown = {"sim.unknown": 1, "sim.epsf": {"kernel_size": 9, "colour": 1}, "fpa.unknown": 2}
+    lost = satsim(known | unknown).notes.left_out
+    told = ["sim.epsf.colour", "sim.unknown", "fpa.unknown"]
+    assert [n for n in lost if "no such" in n] == [f"{k}: no such thing in a scene" for k in told]
+
+
 def test_what_satsim_draws_otherwise_is_told(satsim):
     """SatSim 0.27.1: a Gaussian of 0.665 px (with its pixel 0.725) is up to 0.831 px wide on 1
     subpixel a pixel, and lacks 0.26% of its light in an epsf kernel of 5 px; on 5, floor, a point
@@ -401,6 +412,7 @@ def test_the_command_takes_the_seed_of_a_simsit_file_unless_one_is_given(
     done = CliRunner().invoke(app, ["import", "simsit", str(file), "-o", str(made), *words])
     assert done.exit_code == 0, done.output
     assert load_scene(made).seed == seed
+    assert "over: seed" not in done.output
 
 
 @pytest.mark.parametrize("kind", ["satsim.json", "simsit.yaml"])
