@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 from catalog_tools.documents import JsonObject
 from pipeline.errors import BadInput
 from pipeline.inputs.npy import read_npy
-from pipeline.lazily import open_fits
+from pipeline.lazily import fits, open_fits
 from pipeline.physics.cosmic_rays.detect import (
     bad_pixels,
     find_events,
@@ -22,19 +24,27 @@ from pipeline.physics.cosmic_rays.detect import (
 )
 from pipeline.physics.cosmic_rays.library import Library
 
+if TYPE_CHECKING:
+    from astropy.io.fits import Header
+
 BAND_BYTES = 256_000_000  # of the stack that is held at once
 FEWEST_FRAMES = 3
+EXPOSURE_SHARE = 0.01  # by which the time that a file gives may differ from that of the command
 UNREADABLE = (OSError, ValueError, EOFError, TypeError, AttributeError)
 DIGITAL_SIGMA = 12.0**-0.5  # noise of a frame whose pixels all hold one digital number
 
 
 @dataclass(frozen=True)
 class DarkStack:
-    """Dark frames in files, each of one frame or of several (frames, rows, columns)."""
+    """Dark frames in files, each of one frame or of several (frames, rows, columns).
+
+    exposures_s : what each file gives as the integration time of a frame (EXPTIME), if any
+    """
 
     files: tuple[Path, ...]
     counts: tuple[int, ...]
     shape: tuple[int, int]
+    exposures_s: tuple[float | None, ...]
 
     @property
     def frames(self) -> int:
@@ -49,12 +59,14 @@ def open_darks(paths: Sequence[Path]) -> DarkStack:
     """Look at the files of a stack; BadInput where they do not fit together."""
     counts: list[int] = []
     shapes: list[tuple[int, int]] = []
+    exposures_s: list[float | None] = []
     for path in paths:
-        shape = _stored_shape(path)
+        shape, exposure_s = _stored(path)
         if len(shape) not in (2, 3) or min(shape) < 1:
             raise BadInput("DARK_FRAMES", f"{path} of shape {shape}", "frames of rows x columns")
         counts.append(1 if len(shape) == 2 else shape[0])
         shapes.append((shape[-2], shape[-1]))
+        exposures_s.append(exposure_s)
         if shapes[-1] != shapes[0]:
             raise BadInput(
                 "DARK_FRAMES",
@@ -63,14 +75,15 @@ def open_darks(paths: Sequence[Path]) -> DarkStack:
             )
     if sum(counts) < FEWEST_FRAMES:
         raise BadInput("DARK_FRAMES", f"{sum(counts)} frame(s)", f"at least {FEWEST_FRAMES}")
-    return DarkStack(tuple(paths), tuple(counts), shapes[0])
+    return DarkStack(tuple(paths), tuple(counts), shapes[0], tuple(exposures_s))
 
 
-def _stored_shape(path: Path) -> tuple[int, ...]:
-    """Shape of the numbers in a file."""
+def _stored(path: Path) -> tuple[tuple[int, ...], float | None]:
+    """Shape of the numbers in a file, and the integration time that it gives."""
     allowed = "an existing .npy or .fits file of dark frames"
     if not path.is_file():
         raise BadInput("DARK_FRAMES", str(path), allowed)
+    exposure_s = None
     try:
         if path.suffix == ".npy":
             stored = read_npy(path, mapped=True)
@@ -79,13 +92,33 @@ def _stored_shape(path: Path) -> tuple[int, ...]:
             with open_fits(path) as hdus:
                 hdu = next((h for h in hdus if h.is_image and h.shape), None)
                 shape, kind = (hdu.shape if hdu is not None else ()), "f"
+                exposure_s = _exposure_s([h.header for h in (hdu, hdus[0]) if h is not None])
         else:
             raise BadInput("DARK_FRAMES", str(path), allowed)
     except UNREADABLE as error:
         raise BadInput("DARK_FRAMES", str(path), f"a readable image; {error}") from None
     if kind not in "fiu":
         raise BadInput("DARK_FRAMES", f"{path} of type {kind!r}", "numbers")
-    return tuple(int(n) for n in shape)
+    return tuple(int(n) for n in shape), exposure_s
+
+
+def _exposure_s(headers: Sequence[Header]) -> float | None:
+    """EXPTIME of the first header that has it, where it is a number."""
+    try:
+        return float(next(header["EXPTIME"] for header in headers if "EXPTIME" in header))
+    except (StopIteration, TypeError, ValueError, fits().VerifyError):
+        return None
+
+
+def _check_exposures(darks: DarkStack, exposure_s: float) -> None:
+    """BadInput for a file whose own integration time is another: rates would be wrong by both."""
+    for path, own_s in zip(darks.files, darks.exposures_s, strict=True):
+        if own_s is not None and not math.isclose(own_s, exposure_s, rel_tol=EXPOSURE_SHARE):
+            raise BadInput(
+                "DARK_FRAMES",
+                f"{path} with EXPTIME {own_s:g}",
+                f"frames of --exposure-s, {exposure_s:g}, or without EXPTIME",
+            )
 
 
 def _rows(path: Path, start: int, stop: int) -> NDArray[np.float32]:
@@ -118,8 +151,9 @@ def extract_library(
 
     The median over the frames takes out bias, dark and hot pixels; pixels that stand out in more
     than a tenth of the frames (and more than twice) are omitted. Reads the stack four times,
-    in frames and in bands.
+    in frames and in bands. BadInput where a file says that its exposure is another.
     """
+    _check_exposures(darks, exposure_s)
     level, sigma = _levels(darks)
     frames = darks.frames
     hits = np.zeros(darks.shape, np.int32)

@@ -320,6 +320,40 @@ def test_darks_of_each_kind_of_file(name, tmp_path):
     np.testing.assert_array_equal(stack.band(2, 7), cube[:, 2:7])
 
 
+@pytest.mark.parametrize(
+    ("own", "first", "says"),
+    [
+        (600.0, None, "600"),
+        (None, 600, "600"),
+        ("30", 300, "30"),
+        (300.5, 600, None),
+        ("", None, None),
+        ("long", None, None),
+        (None, None, None),
+    ],
+)
+def test_darks_of_another_exposure_than_is_given_are_refused(own, first, says, tmp_path):
+    """By EXPTIME of the image, else of the file's first header, to 1%; with the file and both."""
+    levels = np.random.default_rng(3).normal(500.0, 5.0, (4, 8, 9))
+    levels[0, 3:5, 4] += 900.0
+    units = [fits.PrimaryHDU(), fits.ImageHDU(levels[:3])]
+    for unit, value in zip(units, (first, own), strict=True):
+        if value is not None:
+            unit.header["EXPTIME"] = value
+    fits.HDUList(units).writeto(tmp_path / "odd.fits")
+    odd = tmp_path / "odd.fits"  # with `long` as no header has it: without quotes
+    odd.write_bytes(odd.read_bytes().replace(b"'long    '", b" long d'x "))
+    np.save(tmp_path / "none.npy", levels[3])
+    command = ["cosmic-rays", "extract", tmp_path / "none.npy", tmp_path / "odd.fits",
+               "--exposure-s", "300", "--pixel-pitch-um", "9"]  # fmt: skip
+    done = nightglass(*command, "-o", tmp_path / "made.fits")
+    assert done.returncode == (0 if says is None else 2), done.stderr
+    if says is not None:
+        told = " ".join(done.stderr.split())
+        assert f"odd.fits with EXPTIME {says}' is not accepted; allowed: frames of " in told
+        assert "--exposure-s, 300," in told
+
+
 def test_command_line(darks, tmp_path):
     run = CliRunner()
     out = str(tmp_path / "made.fits")
