@@ -152,7 +152,7 @@ def test_stars_too_bright_for_all_classes_are_paid_for_one_by_one():
     r = plan.responses
     assert np.isfinite(r.classes[-1].brightest_e)
     path = Path(np.array([-20.0, 20.0]), np.zeros(2), np.ones(1))
-    pairs = 64**2 * quadrature.points_along(r.blur, path)
+    pairs = 64**2 * len(quadrature.points_of(r.blur, path))
 
     def cost_s(stars: int, beyond_px: float) -> float:
         light = np.full(stars, 10.0 * r.classes[-1].brightest_e)

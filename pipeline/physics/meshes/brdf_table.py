@@ -41,6 +41,20 @@ class BrdfTable:
     value: Array
     asymmetry: float = 0.0
 
+    @property
+    def highlight_rad(self) -> float:
+        """How far a body turns while a highlight brightens by e^(1/2): the least of all, half of
+        the way of the Sun in which it falls so far again; inf where none does."""
+        least = np.inf
+        for seen in np.moveaxis(self.value, 1, 0):  # of each theta_o
+            i, j = np.unravel_index(int(seen.argmax()), seen.shape)
+            low = seen[i, j] * np.exp(-0.5)
+            off = np.abs(self.theta_i_rad - self.theta_i_rad[i])[seen[:, j] < low]
+            turned = np.abs(self.phi_rad - self.phi_rad[j])[seen[i] < low]
+            ways = *off, *(np.sin(self.theta_i_rad[i]) * turned if i else ())
+            least = min([least, *ways])
+        return 0.5 * float(least)
+
     def __call__(self, normal: ArrayLike, sun: ArrayLike, observer: ArrayLike) -> Array:
         """BRDF (...,) [1/sr] for unit vectors (..., 3); 0 from behind."""
         n, s, o = (np.asarray(v, float) for v in (normal, sun, observer))

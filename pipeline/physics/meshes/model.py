@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pipeline.physics.meshes.brdf_table import BrdfTable
 from pipeline.physics.meshes.facets import Facets, together
 from pipeline.physics.meshes.intensity import FacetSurface, mesh_intensity
 from pipeline.physics.vectors import rotate_about, unit
@@ -60,6 +61,12 @@ class MeshModel:
     surfaces: tuple[FacetSurface, ...]
     digest: str = ""
     notices: tuple[str, ...] = ()
+
+    @property
+    def highlight_rad(self) -> float:
+        """The narrowest highlight of the measured tables among its surfaces."""
+        tables = (s.brdf for s in self.surfaces if isinstance(s.brdf, BrdfTable))
+        return min((table.highlight_rad for table in tables), default=np.inf)
 
     @property
     def radius_m(self) -> float:

@@ -30,7 +30,7 @@ class MeshSurface(Strict):
     @property
     def highlight_rad(self) -> float:
         """How far a body turns while a highlight of it brightens by e^(1/2); inf where all is matt,
-        or a table's."""
+        and of a table, which says so once it is read."""
         return math.inf
 
 
@@ -251,7 +251,8 @@ class MeshBody(Meshed):
         """The narrowest highlight of its surfaces; see `MeshSurface`."""
         owners: tuple[Meshed, ...] = (self, *self.parts)
         surfaces = chain(*((owner.surface, *owner.materials.values()) for owner in owners))
-        return min((s.highlight_rad for s in surfaces if s is not None), default=math.inf)
+        of_tables = math.inf if self._model is None else float(self._model.highlight_rad)
+        return min(of_tables, *(s.highlight_rad for s in surfaces if s is not None), math.inf)
 
     @property
     def model(self) -> Any:

@@ -131,7 +131,8 @@ def test_other_kinds_and_the_pixel(scene: Make) -> None:
     blur = facts_of(scene({"sensor.psf": psf})).blur
     assert blur.optics == EllipticalGaussian(2.0, 1.0, np.pi / 2)
     assert blur.diffusion_px == pytest.approx(0.3)
-    table = sampled(np.ones((5, 5)), 0.25, "middle", 0.8)
+    falls = np.exp(-0.5 * (np.arange(-20, 21) / 4.0) ** 2)
+    table = sampled(np.outer(falls, falls), 0.25, "middle", 0.8)
     psf = {"kind": "table", "path": "x.npy", "includes_pixel": True}
     s = scene({"sensor.psf": psf})
     f = facts_of(s, table=table)
