@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from pipeline.plan.optics.psf_field import PsfField
 
 
+Terms = tuple[float, float, float]  # of a pixel: dark [e-/s], noise of reading [e-], gain [e-/DN]
+
+
 @dataclass(frozen=True)
 class Facts:
     """What the plan knows of a scene before any star is read.
@@ -49,7 +52,7 @@ class Facts:
     brightest_e : light of the brightest source in the longest exposure; 0 where not known
     flat : typical response to light (median), which SNR counts
     ab_rate_e_s_m2 : electrons of a source of AB magnitude 0 in the band, above the air
-    zero_e, top_e : signals at which the converter of a typical pixel ends (medians)
+    top_e : signal at which the converter of a typical pixel ends (median)
     """
 
     area_m2: float
@@ -69,7 +72,6 @@ class Facts:
     flat: float = 1.0
     ab_rate_e_s_m2: float = math.nan
     quieter_e2: float = 0.0
-    zero_e: float = -math.inf
     top_e: float = math.inf
 
     @property
@@ -92,8 +94,8 @@ def gather_facts(
     table: Sampled | tuple[Sampled | None, ...] | None = None,
     brightest_e: float = 0.0,
     flat: float = 1.0,
-    quieter_e2: float = 0.0,
-    converter_e: tuple[float, float] = (-math.inf, math.inf),
+    quiet: Terms | None = None,
+    top_e: float = math.inf,
 ) -> Facts:
     """Facts from the scene, its response curve and the typical values of its sensor maps.
 
@@ -102,19 +104,20 @@ def gather_facts(
     table : the point-spread function that the scene names as a table, read; of a field, one for
         each of its places, row by row (None for those that are no table)
     brightest_e : light of the brightest source in the longest exposure, as far as it is known
-    flat : typical response to light (median); quieter_e2 : of the Facts; converter_e : their zero_e
-    and top_e
+    flat : typical response to light (median); top_e : of the Facts
+    quiet : terms of a quiet pixel; default: the typical ones
     """
     s, t = scene.sensor, integration_range_s(scene)[0]
     pitch = s.pixel_pitch_um * 1e-6
     wavelength = mean_wavelength_m(response)
-    dark = dark_e_s * t
+    dark, typical = dark_e_s * t, (dark_e_s, read_noise_e, gain_e_per_dn)
+    quiet = quiet or typical
     annulus_m2 = collecting_area_m2(s.aperture_m, s.obscuration)
 
     def noise_e(area_m2: float) -> tuple[float, float]:
         """Light of the sky [e-/s], and the noise of a pixel without sources [e-]."""
         sky = background_rate_e_s(scene, response, area_m2, pitch)
-        return sky, noise_floor_e(scene, sky * t + dark, read_noise_e, gain_e_per_dn, quieter_e2)
+        return sky, noise_floor_e(scene, sky * t, quiet)
 
     floor_e = noise_e(annulus_m2 * open_past_vanes(s))[1]
     limit = None
@@ -149,23 +152,23 @@ def gather_facts(
         brightest_e=brightest_e,
         flat=flat,
         ab_rate_e_s_m2=ab_photon_rate(0.0, response),
-        quieter_e2=quieter_e2,
-        zero_e=converter_e[0],
-        top_e=converter_e[1],
+        quieter_e2=quieter_e2(scene, typical, quiet),
+        top_e=top_e,
     )
 
 
-def noise_floor_e(
-    scene: Scene,
-    charge_e: float,
-    read_noise_e: float,
-    gain_e_per_dn: float,
-    quieter_e2: float = 0.0,
-) -> float:
-    """Noise of a pixel of this mean charge [e-]: of photons, unless the scene draws none; of
-    reading; of rounding, which is never nothing. quieter_e2 : of the Facts"""
+def noise_floor_e(scene: Scene, sky_e: float, terms: Terms) -> float:
+    """Noise [e-] of a pixel of these terms, under so much sky in the shortest exposure: of photons,
+    unless the scene draws none; of reading; of rounding, which is never nothing."""
+    dark_e_s, read_noise_e, gain_e_per_dn = terms
+    charge_e = sky_e + dark_e_s * integration_range_s(scene)[0]
     photons_e2 = charge_e if scene.sensor.photon_noise else 0.0
-    return math.sqrt(photons_e2 + read_noise_e**2 + gain_e_per_dn**2 / 12.0 - quieter_e2)
+    return math.sqrt(photons_e2 + read_noise_e**2 + gain_e_per_dn**2 / 12.0)
+
+
+def quieter_e2(scene: Scene, typical: Terms, quiet: Terms) -> float:
+    """How much less variance a pixel of quiet terms has than a typical one [e-^2]."""
+    return noise_floor_e(scene, 0.0, typical) ** 2 - noise_floor_e(scene, 0.0, quiet) ** 2
 
 
 def error_budget_e(scene: Scene, sigma_e: float) -> float:

@@ -37,10 +37,10 @@ from pipeline.plan.resolved import ResolvedScene, resolved_scene
 from pipeline.plan.response.responses import plan_responses
 from pipeline.plan.response.sources import KnownSources
 from pipeline.plan.sensor.detector import (
-    below_zero,
-    converter_e,
+    converter_top_e,
+    cut_off,
     full_share,
-    quieter_e2,
+    quiet_terms,
     typical_read_noise_e,
 )
 from pipeline.plan.sensor.rolling import check_rolling
@@ -128,8 +128,8 @@ def resolve(asked: Scene) -> Resolved:
             brightest_target_e(scene, g, light.sun_rate_e_s_m2) if scene.targets else 0.0,
         ),
         maps.typical("flat"),
-        quieter_e2(scene, maps),
-        converter_e(scene, maps),
+        quiet_terms(scene, maps),
+        converter_top_e(scene, maps),
     )
     doubts = sky_doubts(scene, facts, band[0], dut1_s)
     extinction = _extinction(scene, band[0])
@@ -186,8 +186,12 @@ def _of_targets(scene: Scene, g: Geometry, facts: Facts) -> list[str]:
 
 def _of_sensor(resolved: ResolvedScene, maps: SensorMaps, g: Geometry) -> list[str]:
     """The warnings on the sensor's terms, and on the pixels that they drive to an end."""
-    told = _filled(resolved, maps, g.frame), _cut_off(resolved), unit_warnings(resolved.scene)
-    return [*(warning for each in told for warning in each), *field_streak_warnings(resolved, g)]
+    return [
+        *_filled(resolved, maps, g.frame),
+        *_cut_off(resolved, maps),
+        *unit_warnings(resolved.scene),
+        *field_streak_warnings(resolved, g),
+    ]
 
 
 def _filled(resolved: ResolvedScene, maps: SensorMaps, sampled: NDArray[np.int64]) -> list[str]:
@@ -217,13 +221,9 @@ def _partly_filled(
     resolved: ResolvedScene, maps: SensorMaps, frames: NDArray[np.int64]
 ) -> list[str]:
     """The warning that many pixels are full without a source, though a typical one is not."""
-    x, y = np.array(resolved.camera.centre_px)[:, None]
-
-    def sky_e_s(frame: int) -> float:
-        return float(resolved.sky_e_s(frame, x, y)[0])
-
-    worst = max(frames.tolist(), key=lambda k: float(resolved.empty_e(sky_e_s(k), k)))
-    share = full_share(resolved.scene, maps, sky_e_s(worst), resolved.integration_s(worst))
+    worst = max(frames.tolist(), key=lambda k: float(resolved.empty_e(_sky_e_s(resolved, k), k)))
+    sky_e_s, time_s = _sky_e_s(resolved, worst), resolved.integration_s(worst)
+    share = full_share(resolved.scene, maps, sky_e_s, time_s)
     if share < MANY_FULL:
         return []
     return [
@@ -232,23 +232,23 @@ def _partly_filled(
     ]
 
 
-def _cut_off(resolved: ResolvedScene) -> list[str]:
+def _cut_off(resolved: ResolvedScene, maps: SensorMaps) -> list[str]:
     """The warning that the converter cuts off the noise of pixels that hold no source, at 0 DN."""
-    x, y = np.array(resolved.camera.centre_px)[:, None]
     frame = int(np.argmin(frame_times(resolved.scene, np.arange(resolved.frames))[1]))
-    mean_e = float(resolved.empty_e(resolved.sky_e_s(frame, x, y), frame)[0])
-    facts, s = resolved.facts, resolved.scene.sensor
-    half_e = 0.5 * (facts.top_e - facts.zero_e) / (2.0**s.adc_bits - 1.0)
-    half_e *= s.adc_rounding == "half_even"  # what is less far below 0 DN is rounded to it
-    share, more_e = below_zero(s, mean_e, facts.read_noise_e, facts.zero_e - half_e)
+    sky_e_s, time_s = _sky_e_s(resolved, frame), resolved.integration_s(frame)
+    share, more_e = cut_off(resolved.scene, maps, sky_e_s, time_s)
     if share < MANY_CUT:
         return []
-    more_e += half_e * share
     return [
         f"sensor.bias_dn: {share:.1%} of the pixels without a source lie below 0 DN in frame "
         f"{frame} and read 0: the mean is {more_e:.3g} e- too high, the noise too low; a bias of "
         "several times the noise avoids it"
     ]
+
+
+def _sky_e_s(resolved: ResolvedScene, frame: int) -> float:
+    """Sky in the middle of a frame [e-/s]."""
+    return float(resolved.sky_e_s(frame, *np.array(resolved.camera.centre_px)[:, None])[0])
 
 
 def _check_course(scene: Scene) -> None:

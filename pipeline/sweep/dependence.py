@@ -40,10 +40,7 @@ FLOOR = (
 )
 FLAT = "sensor.flat"  # that errors of the light grow with
 SKY_FLOOR = ("background.uniform_e_per_s", "background.uniform_mag_arcsec2")
-NOISE_FACTS = (
-    *("sigma_floor_e", "dark_e", "read_noise_e", "flat", "quieter_e2"),
-    *("zero_e", "top_e"),
-)
+NOISE_FACTS = ("sigma_floor_e", "dark_e", "read_noise_e", "flat", "quieter_e2", "top_e")
 SKY_FACTS = ("background_e", "background_e_s")
 # What each kind of light does not take from the plan. A new part of the plan is taken to matter.
 _TOLD = ("scene", "facts", "decisions", "remarks", "warnings", "checks", "tiles")

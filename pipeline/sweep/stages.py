@@ -22,10 +22,10 @@ from pipeline.execute.tables import ContentCache
 from pipeline.execute.tile import LIGHTS, TileSources, check_light, tile_light
 from pipeline.inputs.memory import free_mb
 from pipeline.inputs.sensor.sensor import gather_sensor_maps
-from pipeline.plan.facts import noise_floor_e
+from pipeline.plan.facts import noise_floor_e, quieter_e2
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.sensor.detector import converter_e, quieter_e2
+from pipeline.plan.sensor.detector import converter_top_e, quiet_terms
 from pipeline.plan.tiles import Tile, overlap
 from pipeline.plan.timing import integration_range_s
 from pipeline.resolve.stars import shards_of
@@ -214,19 +214,17 @@ def point_plan(base: Base, scene: Scene, maps: SensorMaps) -> Plan:
     mine = base.plan.scene.model_copy(
         update={"sensor": sensor, "seed": scene.seed, "name": scene.name}
     )
-    dark_e = maps.typical("dark_e_per_s") * integration_range_s(scene)[0]  # as in gather_facts
+    dark_e_s = maps.typical("dark_e_per_s")
     read, gain = maps.typical("read_noise_e"), maps.typical("gain_e_per_dn")
-    quieter, converter = quieter_e2(scene, maps), converter_e(scene, maps)
-    sigma = noise_floor_e(scene, base.plan.facts.background_e + dark_e, read, gain, quieter)
+    sky_e, quiet = base.plan.facts.background_e, quiet_terms(scene, maps)
     facts = replace(
         base.plan.facts,
-        dark_e=dark_e,
+        dark_e=dark_e_s * integration_range_s(scene)[0],  # as in gather_facts
         read_noise_e=read,
-        sigma_floor_e=sigma,
+        sigma_floor_e=noise_floor_e(scene, sky_e, quiet),
         flat=maps.typical("flat"),
-        quieter_e2=quieter,
-        zero_e=converter[0],
-        top_e=converter[1],
+        quieter_e2=quieter_e2(scene, (dark_e_s, read, gain), quiet),
+        top_e=converter_top_e(scene, maps),
     )
     return replace(base.plan, scene=mine, facts=facts, checks=())
 

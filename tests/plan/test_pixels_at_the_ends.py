@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from nightglass import open_product
+from pipeline.arrays import SensorMaps
 from pipeline.plan.pointing.geometry import plan_geometry
-from pipeline.plan.sensor.detector import below_zero
+from pipeline.plan.sensor.detector import below_zero, cut_off
 from pipeline.route.prepare import prepare
 from pipeline.route.run import Options, render
 from pipeline.spec.load import parse_scene
@@ -105,6 +106,68 @@ def test_what_is_cut_off_agrees_with_draws(mean_e: float, read_e: float, zero_e:
     assert share == pytest.approx(np.mean(drawn < zero_e), abs=0.004)
     cut = np.maximum(drawn, zero_e) - drawn
     assert more_e == pytest.approx(cut.mean(), abs=6.0 * cut.std() / 400_000**0.5 + 1e-9)
+
+
+BELOW = {"rows": [0, 64], "columns": [0, 16], "offset_dn": -510}
+TWO = [
+    BELOW | {"columns": [0, 30]},
+    {"rows": [0, 64], "columns": [30, 64], "gain_e_per_dn": 3.0, "read_noise_e": 600.0},
+]
+
+
+@pytest.mark.parametrize(
+    ("sensor", "more_than"),
+    [
+        ({"detector": {"amplifiers": [BELOW]}}, 0.24),
+        ({"detector": {"amplifiers": TWO}}, 0.44),
+        ({"detector": {"bias_structure": {"pixel_rms_dn": 500.0}}}, 0.12),
+        ({"detector": {"bias_structure": {"column_slope_dn": 2000.0}, "row_noise_e": 90.0}}, 0.2),
+        ({"bias_dn": "an image"}, 0.45),
+    ],
+)
+def test_pixels_cut_off_are_judged_one_by_one(
+    tmp_path: Path, sensor: dict[str, Any], more_than: float
+) -> None:
+    """A typical one is not cut off in any of these."""
+    if "bias_dn" in sensor:
+        bias = np.full((64, 64), 500.0)
+        bias[:30] = -20.0
+        np.save(tmp_path / "bias.npy", bias)
+        sensor = {"bias_dn": str(tmp_path / "bias.npy")}
+    (told,) = warnings(0.5, **sensor)
+    assert "of the pixels without a source lie below 0 DN" in told
+    scene = copy.deepcopy(SCENE) | {"background": {"uniform_e_per_s": 0.5}}
+    scene["sensor"] |= sensor
+    render(parse_scene(scene), tmp_path / "out", Options("synchronous"))
+    share = float((open_product(tmp_path / "out").cube["dn"].values == 0).mean())
+    assert share > more_than
+    assert float(told.split("% of")[0].split()[-1]) / 100.0 == pytest.approx(share, abs=0.02)
+
+
+def test_pixels_of_all_terms_are_cut_off_as_draws_are() -> None:
+    rng = np.random.default_rng(8)
+    scene = copy.deepcopy(SCENE)
+    scene["sensor"] |= {"shape": [400, 500], "detector": {"column_noise_e": 3.0}}
+    shape, s = (400, 500), parse_scene(scene)
+    flat, dark = rng.uniform(0.5, 1.5, shape), rng.lognormal(0.0, 2.0, shape)
+    read, gain = rng.uniform(0.5, 9.0, shape), rng.choice([0.5, 2.0, 20.0], shape)
+    bias = rng.normal(2.0, 20.0, shape)
+    part, more_e = cut_off(s, SensorMaps(flat, dark, read, gain, bias), 2.0, 5.0)
+    drawn = rng.poisson((flat * 2.0 + dark) * 5.0) + rng.normal(0.0, np.hypot(read, 3.0))
+    below = drawn < -(bias + 0.5) * gain
+    assert part == pytest.approx(below.mean(), abs=0.004)
+    assert more_e == pytest.approx(np.mean(below * (-bias * gain - drawn)), rel=0.02)
+
+
+def test_the_noise_floor_stands_beside_a_pixel_however_noisy() -> None:
+    """More than half of the pixels at the coarsest gain: the others are as quiet as alone."""
+    part = {"rows": [0, 64], "columns": [0, 40]}
+    alone = prepare(parse_scene(SCENE)).plan.facts
+    for loud in ({"gain_e_per_dn": 1e12}, {"read_noise_e": 1e9}):
+        scene = copy.deepcopy(SCENE)
+        scene["sensor"] |= {"detector": {"amplifiers": [part | loud]}}
+        facts = prepare(parse_scene(scene)).plan.facts
+        assert facts.sigma_floor_e == pytest.approx(alone.sigma_floor_e, rel=1e-12)
 
 
 BALL = {

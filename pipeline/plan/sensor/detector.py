@@ -11,6 +11,7 @@ from pipeline.arrays import Array, SensorMaps
 from pipeline.physics.noise.transfer import lag_frames
 from pipeline.physics.noise.wells import collected_e, measured_e
 from pipeline.plan.accuracy import SMALL, part_sigma
+from pipeline.plan.facts import Terms
 from pipeline.plan.timing import integration_range_s
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import Detector, PolynomialResponse
@@ -25,32 +26,43 @@ LINEARITY_POINTS = 4097  # of a polynomial; straight between them
 
 def typical_read_noise_e(scene: Scene, maps: SensorMaps) -> float:
     """Noise of reading a pixel, with that of its row and its column [e-]."""
-    read = maps.typical("read_noise_e")
+    return _with_lines_e(scene, maps.typical("read_noise_e"))
+
+
+def _with_lines_e(scene: Scene, read_noise_e: float) -> float:
     d = scene.sensor.detector
-    return read if d is None else math.hypot(read, d.row_noise_e, d.column_noise_e)
+    if d is None:
+        return read_noise_e
+    return math.hypot(read_noise_e, d.row_noise_e, d.column_noise_e)
 
 
-def quieter_e2(scene: Scene, maps: SensorMaps) -> float:
-    """How much less variance a pixel has that is among the QUIET ones than the typical [e-^2]: of
-    reading, rounding and dark, in the shortest exposure."""
+def quiet_terms(scene: Scene, maps: SensorMaps) -> Terms:
+    """Dark current [e-/s], noise of reading [e-] and gain of a pixel that is among the QUIET ones
+    in the shortest exposure; the typical ones where their noise is less."""
     time_s = integration_range_s(scene)[0] * scene.sensor.photon_noise
     names = ("dark_e_per_s", "read_noise_e", "gain_e_per_dn")
+    dark_e_s, _, gain = map(maps.typical, names)
+    typical = dark_e_s, typical_read_noise_e(scene, maps), gain
     if not any(np.ndim(getattr(maps, name)) for name in names):
-        return 0.0
+        return typical
 
     def variance(dark_e_s: Array | float, read_e: Array | float, gain: Array | float) -> Array:
         return np.asarray(dark_e_s * time_s + np.square(read_e) + np.square(gain) / 12.0)
 
-    quiet = float(np.quantile(variance(*_some(scene, maps, names)), QUIET, method="lower"))
-    return max(0.0, float(variance(*map(maps.typical, names))) - quiet)
+    terms = np.broadcast_arrays(*_some(scene, maps, names))
+    each = variance(*terms)
+    rank = int(QUIET * (each.size - 1))
+    at = np.argpartition(each, rank)[rank]
+    if each[at] >= variance(*map(maps.typical, names)):
+        return typical
+    dark_e_s, read_e, gain = (float(term[at]) for term in terms)
+    return dark_e_s, _with_lines_e(scene, read_e), gain
 
 
-def converter_e(scene: Scene, maps: SensorMaps) -> tuple[float, float]:
-    """Signals of a typical pixel [e-] at the two ends of its converter (medians)."""
+def converter_top_e(scene: Scene, maps: SensorMaps) -> float:
+    """Signal of a typical pixel [e-] at the top of its converter (median)."""
     gain, bias = _some(scene, maps, ("gain_e_per_dn", "bias_dn"))
-    ends = ((dn - bias) * gain for dn in (0.0, 2.0**scene.sensor.adc_bits - 1.0))
-    zero_e, top_e = (float(np.median(end)) for end in ends)
-    return zero_e, top_e
+    return float(np.median((2.0**scene.sensor.adc_bits - 1.0 - bias) * gain))
 
 
 def full_e(sensor: Sensor, gain_e_per_dn: Array | float, bias_dn: Array | float) -> Array:
@@ -64,6 +76,35 @@ def full_share(scene: Scene, maps: SensorMaps, sky_e_s: float, time_s: float) ->
     names = ("flat", "dark_e_per_s", "gain_e_per_dn", "bias_dn")
     flat, dark, gain, bias = _some(scene, maps, names)
     return float(np.mean((flat * sky_e_s + dark) * time_s >= full_e(scene.sensor, gain, bias)))
+
+
+def cut_off(scene: Scene, maps: SensorMaps, sky_e_s: float, time_s: float) -> tuple[float, float]:
+    """Which part of the pixels the converter cuts off at 0 DN under sky [e-/s] and dark current
+    alone in an exposure, and by how much that raises the mean signal of all [e-].
+
+    Pixels as many standard deviations above 0 DN, to a tenth, count as one of their mean terms.
+    """
+    s, d = scene.sensor, scene.sensor.detector
+    names = ("flat", "dark_e_per_s", "read_noise_e", "gain_e_per_dn", "bias_dn")
+    flat, dark, read, gain, bias = map(np.atleast_1d, _some(scene, maps, names))
+    if d is not None:
+        read = np.hypot(read, math.hypot(d.row_noise_e, d.column_noise_e))
+    half = 0.5 * gain * (s.adc_rounding == "half_even")  # less far below 0 DN is rounded to it
+    charge, zero = (flat * sky_e_s + dark) * time_s, -bias * gain - half
+    above = _signal_e(s, charge) - zero
+    above = above / np.maximum(np.sqrt(charge * s.photon_noise + np.square(read)), 1e-9)
+    kind = np.rint((np.clip(above, -REACH, REACH) + REACH) * 10.0).astype(np.int64)
+    terms = np.broadcast_arrays(charge, read, zero, half)
+    kind = np.broadcast_to(kind, terms[0].shape)
+    count = np.bincount(kind)
+    share = more_e = 0.0
+    means = [np.bincount(kind, term) / np.maximum(count, 1) for term in terms]
+    for i in np.flatnonzero(count[: int(20.0 * REACH)]):  # of those REACH above none is cut off
+        of_mean_e, read_e, zero_e, half_e = (float(m[i]) for m in means)
+        below, cut_e = below_zero(s, of_mean_e, read_e, zero_e)
+        share += below * count[i] / kind.size
+        more_e += (cut_e + half_e * below) * count[i] / kind.size
+    return share, more_e
 
 
 def _some(scene: Scene, maps: SensorMaps, names: Sequence[str]) -> list[Array]:
@@ -90,9 +131,7 @@ def below_zero(
     else:
         off = np.linspace(-1.0, 1.0, 401)
         charge, weight = mean_e + off * (mean_e - low), np.exp(-0.5 * (REACH * off) ** 2)
-    signal = charge.astype(float)
-    if sensor.detector is not None and sensor.detector.nonlinearity is not None:
-        signal = measured_e(signal, *linearity(sensor.detector, float(sensor.full_well_e or 0.0)))
+    signal = _signal_e(sensor, charge.astype(float))
     above = (signal - zero_e + 1e-6) / max(read_noise_e, 1e-9)  # a pixel at 0 DN lies not below
     share = np.array([0.5 * math.erfc(a / math.sqrt(2.0)) for a in above.tolist()])
     density = np.exp(-0.5 * above**2) / math.sqrt(2.0 * math.pi)
@@ -108,6 +147,14 @@ def lag_depth(scene: Scene, sigma_e: float) -> int:
         return 0
     full_well_e = float(scene.sensor.full_well_e or 0.0)
     return lag_frames(d.lag.fraction, full_well_e, SMALL * part_sigma(scene) * sigma_e)
+
+
+def _signal_e(sensor: Sensor, charge_e: Array) -> Array:
+    """What is measured of charges (n,) [e-]."""
+    d = sensor.detector
+    if d is None or d.nonlinearity is None:
+        return charge_e
+    return measured_e(charge_e, *linearity(d, float(sensor.full_well_e or 0.0)))
 
 
 def linearity(d: Detector, full_well_e: float) -> tuple[Array, Array]:
