@@ -33,6 +33,7 @@ from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import TimeDelay
 from pipeline.spec.sensor.sensor import (
+    FWHM_PX,
     AiryPsf,
     GaussianPsf,
     KolmogorovPsf,
@@ -127,12 +128,25 @@ def _fixed(s: Sensor, psf: OnePsf, table: Sampled | None) -> Optics:
         angle = math.radians(psf.angle_deg)
         return EllipticalGaussian(psf.sigma_px, psf.sigma_minor_px, angle)
     if isinstance(psf, MoffatPsf):
-        if psf.fwhm_px is not None:
-            return Moffat(psf.fwhm_px, psf.beta)
-        assert psf.fwhm_arcsec is not None
-        return Moffat(psf.fwhm_arcsec * ARCSEC_RAD / s.ifov_rad, psf.beta)
+        return Moffat(_moffat_px(s, psf), psf.beta)
     assert table is not None
     return table
+
+
+def _moffat_px(s: Sensor, psf: MoffatPsf) -> float:
+    """Full width at half maximum [px]. BadInput where one in arcsec is none that is taken in px."""
+    if psf.fwhm_px is not None:
+        return psf.fwhm_px
+    assert psf.fwhm_arcsec is not None
+    width_px = psf.fwhm_arcsec * ARCSEC_RAD / s.ifov_rad
+    if not FWHM_PX[0] <= width_px <= FWHM_PX[1]:
+        ends = " to ".join(f"{px * s.ifov_rad / ARCSEC_RAD:.4g}" for px in FWHM_PX)
+        raise BadInput(
+            "sensor.psf.fwhm_arcsec",
+            psf.fwhm_arcsec,
+            f"{ends} arcsec, {FWHM_PX[0]:g} to {FWHM_PX[1]:g} px",
+        )
+    return width_px
 
 
 def _band(

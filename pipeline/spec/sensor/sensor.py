@@ -177,12 +177,15 @@ class AiryPsf(Chromatic):
         return self
 
 
+FWHM_PX = 0.1, 100  # least and largest of a moffat, however it is given
+
+
 class MoffatPsf(PsfShape):
     """A Moffat profile of the light on the detector, all causes together; one width."""
 
     kind: Literal["moffat"]
     beta: float = Field(4.765, ge=1.5, le=50, description="4.765 has the wings of turbulence")
-    fwhm_px: float | None = Field(None, ge=0.1, le=100)
+    fwhm_px: float | None = Field(None, ge=FWHM_PX[0], le=FWHM_PX[1])
     fwhm_arcsec: float | None = Field(None, gt=0, le=100)
 
     @model_validator(mode="after")

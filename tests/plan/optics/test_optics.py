@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.errors import BadInput
 from pipeline.physics.psf.aperture import Pupil
 from pipeline.physics.psf.band import Mixture
 from pipeline.physics.psf.pupil import Airy, EllipticalGaussian
@@ -187,3 +188,19 @@ def test_light_changes_along_a_streak_by_the_cosine_off_axis(scene: Make) -> Non
     found = _changes(s, camera_of(s), plan_geometry(s, np.array([0]), 0.0))
     expected = 383.5 * 10e-6 / 0.02 * np.sin(turned) + 1.0 - np.cos(turned)
     assert found == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("beta", [4.765, 50.0])
+def test_a_width_in_arcsec_is_held_to_that_in_px(scene: Make, beta: float) -> None:
+    """0.1 to 100 px, of pixels of 2.063 or 0.6875 arcsec, however little light its wings hold."""
+
+    def planned(fwhm_arcsec: float, focal_length_m: float) -> Facts:
+        moffat = {"kind": "moffat", "fwhm_arcsec": fwhm_arcsec, "beta": beta}
+        return facts_of(scene({"sensor.psf": moffat, "sensor.focal_length_m": focal_length_m}))
+
+    for fwhm_arcsec, focal_length_m in ((1e-160, 1.0), (1e-3, 1.0), (0.206, 1.0), (69.0, 3.0)):
+        with pytest.raises(BadInput, match=r"arcsec, 0\.1 to 100 px") as told:
+            planned(fwhm_arcsec, focal_length_m)
+        assert told.value.field == "sensor.psf.fwhm_arcsec"
+    assert planned(0.207, 1.0).blur.optics.scale_px > 0.1
+    assert planned(68.0, 3.0).blur.optics.scale_px < 100.0
