@@ -66,6 +66,7 @@ def test_accepted_and_the_same_after_a_round_trip(data: dict[str, Any]) -> None:
         (TABLE | {"rows": [[0, 7e6, 0, float("inf")], [9, 7e6, 4e5, 0]]}, "finite"),
         (TABLE | {"rows": [[0, 7e6, 0, 0]]}, "at least 2"),
         ({"kind": "spiral"}, "'tle', 'state', 'omm'"),
+        ({"kind": "omm", "elements": ELEMENTS | {"mean_motion_rev_day": 1e-9}}, "to 0.00000001"),
     ],
 )  # fmt: skip
 def test_refused_with_what_is_allowed(data: dict[str, Any], words: str) -> None:

@@ -42,7 +42,7 @@ class MeanElements(Strict):
     """Mean elements of SGP4 in TEME axes, as an Orbit Mean-Elements Message carries them."""
 
     epoch: Utc
-    mean_motion_rev_day: float = Field(gt=0, le=20)
+    mean_motion_rev_day: float = Field(ge=1e-8, le=20)  # the least: 9.1e12 m, a TLE's last digit
     eccentricity: float = Field(ge=0, lt=1)
     inclination_deg: Inclination
     raan_deg: Angle
