@@ -243,7 +243,7 @@ def _run_point(
     """Run a study without axes into its course's folder."""
     started, out = time.perf_counter(), Path(course.out)
     ledger.begin(out, {"format": study.schema_, "study": course.key}, options.resume, "study")
-    with full_disk(out), only_writer(out):
+    with full_disk(out), only_writer(out, busy="another run is writing this study now"):
         if ledger.is_complete(out, OBJECTS):
             report: JsonObject = json.loads((out / REPORT).read_text())
             return report

@@ -287,12 +287,16 @@ class Scene(Strict):
                     "allowed: all {rows} rows, as charge runs along whole columns",
                     {"rows": rows, "field": "output.tile_shape"},
                 )
-            for tile, full in zip(self.output.tile_shape, self.sensor.shape, strict=True):
+            axes = zip(self.output.tile_shape, self.sensor.shape, ("rows", "columns"), strict=True)
+            for tile, full, axis in axes:
                 if tile != full and (tile % CELL_PX or tile > full):
+                    allowed = f"on each axis a multiple of {CELL_PX} px up to {full}, or {full}"
+                    if full <= CELL_PX:
+                        allowed = f"all {full} {axis}"
                     raise PydanticCustomError(
                         "tile",
-                        "allowed: on each axis a multiple of {cell} px up to {full}, or {full}",
-                        {"cell": CELL_PX, "full": full, "field": "output.tile_shape"},
+                        "allowed: {allowed}",
+                        {"allowed": allowed, "field": "output.tile_shape"},
                     )
         return self
 

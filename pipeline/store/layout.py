@@ -37,6 +37,7 @@ PREVIEW = "preview.png"
 BEGUN = ".begun.json"
 COMPLETE = "_COMPLETE"
 LOCK = ".lock"
+BUSY = "another render is writing this product now (--wait waits for it)"
 CUBES = "cubes"  # of a sweep: the products of its points
 SEALS = (COMPLETE, f"{CUBE}/zarr.json")  # which say that all is there
 AGAIN_S = 1.0  # between looks at a lock
@@ -107,17 +108,20 @@ def waited(wait_s: float, take: Callable[[], Taken]) -> Taken:
 
 
 @contextmanager
-def only_writer(product: Path, shared: str | None = None, wait_s: float = 0.0) -> Iterator[None]:
+def only_writer(
+    product: Path, shared: str | None = None, wait_s: float = 0.0, busy: str = BUSY
+) -> Iterator[None]:
     """Hold the product's lock; another running writer is waited for, a dead one is not.
 
     shared : name of a part; writers of other parts are let in beside it
+    busy : what is told of another writer
     Raises TryLater where the other one goes on for longer, BadInput where there can be no lock.
     """
-    with waited(wait_s, lambda: _locked(product, shared)):
+    with waited(wait_s, lambda: _locked(product, shared, busy)):
         yield
 
 
-def _locked(product: Path, shared: str | None) -> ExitStack:
+def _locked(product: Path, shared: str | None, busy: str) -> ExitStack:
     kind = fcntl.LOCK_EX if shared is None else fcntl.LOCK_SH
     with ExitStack() as open_files:
         try:
@@ -132,7 +136,5 @@ def _locked(product: Path, shared: str | None) -> ExitStack:
             if not isinstance(error, BlockingIOError):  # waiting would not help
                 allowed = f"a folder that can be written, with locks (flock); {error.strerror}"
                 raise BadInput("PRODUCT", str(product), allowed) from None
-            raise TryLater(
-                f"{product}: another render is writing this product now (--wait waits for it)"
-            ) from None
+            raise TryLater(f"{product}: {busy}") from None
         return open_files.pop_all()

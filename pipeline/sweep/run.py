@@ -102,7 +102,7 @@ def _run_course(
         warn(warnings)
     identity = ledger.identity_of(course.sweep, course.data, checked.digests, files_of(course))
     ledger.begin(out, identity, options.resume)
-    with only_writer(out):
+    with only_writer(out, busy="another run is writing this sweep now"):
         schema = ledger.schema_of(course.sweep, names)
         book = PointLedger(out, schema, course.sweep.points)
         if ledger.is_complete(out) and not retry_failed:

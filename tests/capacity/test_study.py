@@ -17,9 +17,10 @@ from pipeline.capacity import run
 from pipeline.capacity.candidates import find_candidates, path_of
 from pipeline.capacity.course import make_course
 from pipeline.capacity.run import StudyOptions, forecast_of, run_study
-from pipeline.errors import BadInput
+from pipeline.errors import BadInput, TryLater
 from pipeline.spec.dotted import changed
 from pipeline.spec.study_load import parse_study, read_study
+from pipeline.store.layout import only_writer
 
 pytestmark = pytest.mark.usefixtures("coarse_signal")
 ALONE = StudyOptions("synchronous")
@@ -371,3 +372,12 @@ def test_weather_and_forecast(data: Data, tmp_path: Path) -> None:
     told = forecast_of(data, tmp_path)
     assert (told["objects"], told["sensors"], told["steps"]) == (60, 3, 480)
     assert path_of(tmp_path, (1, 2)).name == "window-000001-batch-00002.parquet"
+
+
+@pytest.mark.usefixtures("without_pictures")
+def test_another_writer_is_one_of_the_study(data: Data, tmp_path: Path) -> None:
+    data["duration_h"], out = 1.0, tmp_path / "out"
+    run_study(data, tmp_path, out, ALONE)
+    with only_writer(out), pytest.raises(TryLater) as told:
+        run_study(data, tmp_path, out, StudyOptions("synchronous", resume=True))
+    assert str(told.value) == f"{out}: another run is writing this study now"

@@ -465,3 +465,19 @@ def test_names_of_targets_differ(full: Data, others: int) -> None:
     names = [*(f"t{i}" for i in range(others)), "same", "same"]
     data = full | {"targets": [one | {"name": name} for name in names]}
     assert "different names; twice: same" in str(refusal(data))
+
+
+@pytest.mark.parametrize(
+    ("shape", "tile_shape", "allowed"),
+    [
+        ([128, 512], [64, 512], "all 128 rows"),
+        ([512, 256], [256, 128], "all 256 columns"),
+        ([512, 257], [256, 128], "on each axis a multiple of 256 px up to 257, or 257"),
+    ],
+)
+def test_tiles_of_small_frames_are_told_what_there_is(
+    full: Data, shape: list[int], tile_shape: list[int], allowed: str
+) -> None:
+    small = with_value(full, "sensor.shape", shape)
+    told = str(refusal(with_value(small, "output.tile_shape", tile_shape)))
+    assert told == f"output.tile_shape: {tile_shape} is not accepted; allowed: {allowed}"

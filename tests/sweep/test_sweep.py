@@ -24,7 +24,7 @@ from distributed.scheduler import KilledWorker
 
 from catalog_tools.engine.code import code_digest
 from catalog_tools.ingest.ingest import ingest
-from pipeline.errors import BadInput, DiskFull, Incomplete
+from pipeline.errors import BadInput, DiskFull, Incomplete, TryLater
 from pipeline.execute.sources import place_targets
 from pipeline.inputs.sensor.sensor import gather_sensor_maps
 from pipeline.plan.pointing.geometry import plan_geometry
@@ -34,6 +34,7 @@ from pipeline.route.run import Options
 from pipeline.spec.load import InvalidScene, parse_scene
 from pipeline.spec.sweep import Detection
 from pipeline.spec.sweep_load import parse_sweep
+from pipeline.store.layout import only_writer
 from pipeline.sweep import ledger, run, task
 from pipeline.sweep.check import check
 from pipeline.sweep.design import Design
@@ -872,3 +873,13 @@ def test_paths_in_mappings_of_axes_stay_as_they_are_written(sweep_file, tmp_path
     run.sweep(sweep_file([axis], metrics=["background"]), out, Options("synchronous"))
     (row,) = pq.read_table(out / "points.parquet").to_pylist()
     assert json.loads(row["sensor.bandpass"]) == band
+
+
+def test_another_writer_is_one_of_the_sweep(sweep_file, tmp_path):
+    """With no word of an option that sweeps do not have."""
+    out = tmp_path / "out"
+    asked = sweep_file([{"field": "seed", "values": [1]}], metrics=["background"])
+    run.sweep(asked, out, Options("synchronous"))
+    with only_writer(out), pytest.raises(TryLater) as told:
+        run.sweep(asked, out, Options("synchronous", resume=True))
+    assert str(told.value) == f"{out}: another run is writing this sweep now"
