@@ -43,16 +43,18 @@ class BrdfTable:
 
     @property
     def highlight_rad(self) -> float:
-        """How far a body turns while a highlight brightens by e^(1/2): the least of all, half of
-        the way of the Sun in which it falls so far again; inf where none does."""
-        least = np.inf
-        for seen in np.moveaxis(self.value, 1, 0):  # of each theta_o
+        """How far a body turns while a highlight brightens by e^(1/2): the least of all that are
+        seen, half of the way of the Sun in which it falls so far again; inf where none does."""
+        least, mu_i, mu_o = np.inf, np.cos(self.theta_i_rad), np.cos(self.theta_o_rad)
+        unseen = UNSEEN * float((self.value * mu_i[:, None, None] * mu_o[:, None]).max())
+        for seen, mu in zip(np.moveaxis(self.value, 1, 0), mu_o, strict=True):
             i, j = np.unravel_index(int(seen.argmax()), seen.shape)
+            if seen[i, j] * mu_i[i] * mu < unseen:
+                continue
             low = seen[i, j] * np.exp(-0.5)
             off = np.abs(self.theta_i_rad - self.theta_i_rad[i])[seen[:, j] < low]
             turned = np.abs(self.phi_rad - self.phi_rad[j])[seen[i] < low]
-            ways = *off, *(np.sin(self.theta_i_rad[i]) * turned if i else ())
-            least = min([least, *ways])
+            least = min([least, *off, *(np.sin(self.theta_i_rad[i]) * turned if i else ())])
         return 0.5 * float(least)
 
     def __call__(self, normal: ArrayLike, sun: ArrayLike, observer: ArrayLike) -> Array:
