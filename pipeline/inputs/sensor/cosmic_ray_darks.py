@@ -83,16 +83,13 @@ def _stored(path: Path) -> tuple[tuple[int, ...], float | None]:
     allowed = "an existing .npy or .fits file of dark frames"
     if not path.is_file():
         raise BadInput("DARK_FRAMES", str(path), allowed)
-    exposure_s = None
+    kind, exposure_s = "f", None
     try:
         if path.suffix == ".npy":
             stored = read_npy(path, mapped=True)
             shape, kind = stored.shape, stored.dtype.kind
         elif path.name.endswith((".fits", ".fits.gz", ".fit", ".fits.fz")):
-            with open_fits(path) as hdus:
-                hdu = next((h for h in hdus if h.is_image and h.shape), None)
-                shape, kind = (hdu.shape if hdu is not None else ()), "f"
-                exposure_s = _exposure_s([h.header for h in (hdu, hdus[0]) if h is not None])
+            shape, exposure_s = _stored_in_fits(path)
         else:
             raise BadInput("DARK_FRAMES", str(path), allowed)
     except UNREADABLE as error:
@@ -100,6 +97,14 @@ def _stored(path: Path) -> tuple[tuple[int, ...], float | None]:
     if kind not in "fiu":
         raise BadInput("DARK_FRAMES", f"{path} of type {kind!r}", "numbers")
     return tuple(int(n) for n in shape), exposure_s
+
+
+def _stored_in_fits(path: Path) -> tuple[tuple[int, ...], float | None]:
+    """The same of a FITS file: of its first image."""
+    with open_fits(path) as hdus:
+        images = [h for h in hdus if h.is_image and h.shape][:1]
+        shape = images[0].shape if images else ()
+        return shape, _exposure_s([h.header for h in (*images, hdus[0])])
 
 
 def _exposure_s(headers: Sequence[Header]) -> float | None:
