@@ -25,7 +25,13 @@ from pipeline.execute.sources import (
 from pipeline.execute.tables import core_of, kernel_of
 from pipeline.physics.drawing.direct import draw_direct, reach_px, terms
 from pipeline.physics.drawing.extended import draw_body, spread_body
-from pipeline.physics.drawing.quadrature import has_profile, nodes_of, points_of, profile_s
+from pipeline.physics.drawing.quadrature import (
+    affordable,
+    has_profile,
+    nodes_of,
+    points_of,
+    profile_s,
+)
 from pipeline.physics.drawing.wings import (
     WingGrid,
     add_wings,
@@ -291,6 +297,8 @@ def _quadrature_cost(plan: Plan, at: Tile, group: Group, most: float) -> float |
     _, _, light, path = group
     r = plan.responses
     if len(light) != 1 or not all(has_profile(b) for b in r.blurs):
+        return None
+    if not all(affordable(b, path, (at.rows, at.columns)) for b in r.blurs):
         return None
     values = max(len(points_of(b, path, True)) * (1.5 * nodes_of(b)) ** 2 for b in r.blurs)
     cost = at.rows * at.columns * values

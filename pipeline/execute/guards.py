@@ -14,7 +14,7 @@ from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.vectors import separation
 from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.resolved import ResolvedScene
-from pipeline.plan.response.responses import below_zero, table_error
+from pipeline.plan.response.responses import rings_below, table_error
 from pipeline.plan.tiles import Tile
 
 NEGATIVE_FLOOR = 1e-3  # of the noise floor: ringing below it is set to zero, beyond it is a fault
@@ -156,9 +156,10 @@ def guard_mean(
     if low < 0.0:
         allowed = NEGATIVE_FLOOR * plan.facts.sigma_floor_e + 1e-6 * float(mean_e.max())
         allowed += plan.facts.budget_e
-        ringing = max(table_error(b) for b in plan.responses.blurs) + below_zero(plan.responses)
-        allowed += 2.0 * wing_error_e + ringing * float(np.maximum(mean_e, 0.0).sum())
-        if low < -allowed:
+        light_e = float(np.maximum(mean_e, 0.0).sum())
+        cut = max(table_error(b) for b in plan.responses.blurs)
+        allowed += 2.0 * wing_error_e + cut * light_e
+        if low < -allowed and low < -allowed - rings_below(plan.responses) * light_e:
             lowest = min(layers, key=lambda name: float(layers[name].min()))
             raise NightglassError(
                 f"{where(g, tile)}: a pixel's mean is {low:.3g} e-, below zero by more than "

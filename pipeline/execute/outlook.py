@@ -125,10 +125,12 @@ def limiting_light_e(plan: Plan, g: Geometry) -> float:
     reaches that SNR, where a star leaves the sky before the camera in one exposure, or where the
     scene has neither stars nor targets and so no response.
     """
+    if not plan.responses.classes:
+        return math.inf
     rows, columns = plan.scene.sensor.shape
     x, y = np.array([(columns - 1) / 2]), np.array([(rows - 1) / 2])
     places = star_paths(plan.camera, g, x, y, plan.scene.star_effects["aberration"])[:, :, 0]
-    if not (plan.responses.classes and np.isfinite(places).all()):
+    if not np.isfinite(places).all():
         return math.inf
     [path] = paths_through(places - places[..., [g.middle]], np.array([LIMIT_MERGE_PX]))
     light = np.geomspace(1e-3, 1e12, 601)

@@ -160,15 +160,19 @@ def gather_facts(
 def noise_floor_e(scene: Scene, sky_e: float, terms: Terms) -> float:
     """Noise [e-] of a pixel of these terms, under so much sky in the shortest exposure: of photons,
     unless the scene draws none; of reading; of rounding, which is never nothing."""
+    return math.sqrt(_floor_e2(scene, sky_e, terms))
+
+
+def _floor_e2(scene: Scene, sky_e: float, terms: Terms) -> float:
     dark_e_s, read_noise_e, gain_e_per_dn = terms
     charge_e = sky_e + dark_e_s * integration_range_s(scene)[0]
     photons_e2 = charge_e if scene.sensor.photon_noise else 0.0
-    return math.sqrt(photons_e2 + read_noise_e**2 + gain_e_per_dn**2 / 12.0)
+    return photons_e2 + read_noise_e**2 + gain_e_per_dn**2 / 12.0
 
 
 def quieter_e2(scene: Scene, typical: Terms, quiet: Terms) -> float:
     """How much less variance a pixel of quiet terms has than a typical one [e-^2]."""
-    return noise_floor_e(scene, 0.0, typical) ** 2 - noise_floor_e(scene, 0.0, quiet) ** 2
+    return _floor_e2(scene, 0.0, typical) - _floor_e2(scene, 0.0, quiet)
 
 
 def error_budget_e(scene: Scene, sigma_e: float) -> float:

@@ -159,6 +159,28 @@ def test_pixels_of_all_terms_are_cut_off_as_draws_are() -> None:
     assert more_e == pytest.approx(np.mean(below * (-bias * gain - drawn)), rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("charges_e", "reads_e"), [((1e6, 1.0), (0.0, 0.0)), ((1e4, 0.0), (0.0, 600.0))]
+)
+@pytest.mark.parametrize("above", [1.0, 2.0])
+def test_pixels_as_near_to_zero_need_not_be_as_noisy(
+    charges_e: tuple[float, float], reads_e: tuple[float, float], above: float
+) -> None:
+    """Half of the pixels each, as many of their own standard deviations above 0 DN."""
+    rng, shape = np.random.default_rng(9), (64, 6400)
+    scene = copy.deepcopy(SCENE)
+    scene["sensor"] |= {"shape": list(shape)}
+    half = np.arange(shape[1]) % 2
+    dark, read = (np.broadcast_to(np.array(v)[half], shape) for v in (charges_e, reads_e))
+    bias = above * np.sqrt(dark + read**2) - dark - 0.5
+    part, more_e = cut_off(parse_scene(scene), SensorMaps(1.0, dark, read, 1.0, bias), 0.0, 1.0)
+    drawn = rng.poisson(dark) + rng.normal(0.0, read)
+    below = drawn < -(bias + 0.5)
+    cut_e = np.where(below, -bias - drawn, 0.0)
+    assert part == pytest.approx(float(below.mean()), abs=0.01)
+    assert more_e == pytest.approx(float(cut_e.mean()), rel=0.05, abs=0.3)
+
+
 def test_the_noise_floor_stands_beside_a_pixel_however_noisy() -> None:
     """More than half of the pixels at the coarsest gain: the others are as quiet as alone."""
     part = {"rows": [0, 64], "columns": [0, 40]}

@@ -100,7 +100,7 @@ def points_of(blur: Blur, path: Path, finer: bool = False) -> Array:
     band, n = blur.band_limit(BAND_FLOOR), nodes_of(blur)
     if finer:
         path, band, n = replace(path, off_px=0.0), 1.5 * band, n * 3 // 2
-    x, y, share = points_along(path, band)
+    x, y, share = points_along(path, band, BAND_FLOOR)
     points = np.stack([y, x, share], axis=1)
     if not blur.clock_px:
         return points
@@ -130,7 +130,8 @@ def drawn_s(blur: Blur, path: Path, pixels: int, near: float = 1.0) -> float:
     near : share of such sources whose path crosses them; the others' passes by
     """
     n, around = nodes_of(blur), math.pi * NEAR_PX**2 * near
-    return len(points_of(blur, path)) * n * (2.0 * SIDE_S * pixels + VALUE_S * around * n)
+    far_s = VALUE_S * n if isinstance(blur.optics, EllipticalGaussian) else 2.0 * SIDE_S
+    return len(points_of(blur, path)) * n * (far_s * pixels + VALUE_S * around * n)
 
 
 def draw_quadrature(
@@ -160,7 +161,9 @@ def draw_quadrature(
     corners = np.stack(np.meshgrid(*((min(e), max(e)) for e in ends)), axis=-1).reshape(4, 2)
     farthest = np.linalg.norm(points[:, None, :2] - corners, axis=-1).max() + 2.0
     profile = profile_of(blur, min(_at_least(farthest), max(reach_px, 16.0)) + SPARE_PX)
-    rule = points, *_pixel(blur, n), math.sqrt(blur.fill_factor), math.inf if finer else NEAR_PX
+    areas = finer or isinstance(blur.optics, EllipticalGaussian)
+    near_px = math.inf if areas else NEAR_PX  # an ellipse is too sharp along its sides
+    rule = points, *_pixel(blur, n), math.sqrt(blur.fill_factor), near_px
     out = np.zeros(shape)
     _integrate(out, *origin, *rule, profile.beyond, *profile.numbers, CUT_FROM * reach_px, reach_px)
     return out
@@ -198,9 +201,9 @@ def _pixel(blur: Blur, n: int) -> tuple[Array, Array, Array]:
     return math.sqrt(blur.fill_factor) * at, blur.fill_factor * weight, weight
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=8)
 def profile_of(blur: Blur, radius_px: float) -> Profile:
-    """The profile of a response up to a radius; what it holds does not depend on the radius."""
+    """The profile of a response up to a radius; `beyond` counts from its end."""
     optics, rounded, spread = _round(blur)
     width = _scale(optics) / PANELS
     if isinstance(optics, Gaussian):  # wherever it is asked for, it ends where its light does
@@ -329,15 +332,12 @@ def _pixel_at(y, x, at, down, along, coefficients, width, rounded, reach):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _side(y, x, down, right, at, weights, beyond, width, rounded):
+def _side(y, x, down, right, at, weights, beyond, width):
     """What flows across a pixel's side, whose middle is at (y, x) from the source: of one that runs
     `down` to the right, of one that runs `right` upwards."""
-    a, b = rounded[0, 0] * y + rounded[0, 1] * x, rounded[1, 0] * y + rounded[1, 1] * x
-    c = rounded[0, 0] * down + rounded[0, 1] * right
-    d = rounded[1, 0] * down + rounded[1, 1] * right
     total = 0.0
     for i in range(at.size):
-        v, u = a + at[i] * c, b + at[i] * d
+        v, u = y + at[i] * down, x + at[i] * right
         square = v * v + u * u
         t = np.sqrt(square) / width
         k = int(t)
@@ -346,7 +346,7 @@ def _side(y, x, down, right, at, weights, beyond, width, rounded):
         for m in range(1, NODES):
             value = value * t + beyond[k, m]
         total += weights[i] * value / square
-    return (b * c - a * d) * total
+    return (x * down - y * right) * total
 
 
 @njit(cache=True, nogil=True)
@@ -382,7 +382,7 @@ def _integrate(
     Neighbours whose squares touch share the side between them.
     """
     half, touch, last = 0.5 * side, side == 1.0, min(reach, ends) ** 2  # the tables end there
-    table = at, side * along, beyond, width, rounded
+    table = at, side * along, beyond, width
     below, found = np.empty(out.shape[1]), np.empty(out.shape[1], np.int64)
     for p in range(points.shape[0]):
         found[:] = -1

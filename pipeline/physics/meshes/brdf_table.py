@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,19 +41,21 @@ class BrdfTable:
     value: Array
     asymmetry: float = 0.0
 
-    @property
+    @cached_property
     def highlight_rad(self) -> float:
         """How far a body turns while a highlight brightens by e^(1/2): the least of all that are
         seen, half of the way of the Sun in which it falls so far again; inf where none does."""
-        least, mu_i, mu_o = np.inf, np.cos(self.theta_i_rad), np.cos(self.theta_o_rad)
-        unseen = UNSEEN * float((self.value * mu_i[:, None, None] * mu_o[:, None]).max())
-        for seen, mu in zip(np.moveaxis(self.value, 1, 0), mu_o, strict=True):
-            i, j = np.unravel_index(int(seen.argmax()), seen.shape)
-            if seen[i, j] * mu_i[i] * mu < unseen:
-                continue
-            low = seen[i, j] * np.exp(-0.5)
-            off = np.abs(self.theta_i_rad - self.theta_i_rad[i])[seen[:, j] < low]
-            turned = np.abs(self.phi_rad - self.phi_rad[j])[seen[i] < low]
+        least, mu = np.inf, np.cos(self.theta_o_rad)
+        lit = self.value * np.cos(self.theta_i_rad)[:, None, None] * mu[:, None]
+        shown = np.where(lit >= UNSEEN * lit.max(), self.value, 0.0)
+        for k in range(len(mu)):
+            i, j = np.unravel_index(int(shown[:, k].argmax()), shown[:, k].shape)
+            value = self.value[:, k]
+            if value[i, j] < value[max(i - 1, 0) : i + 2, j].max():
+                continue  # its peak is not seen
+            low = value[i, j] * np.exp(-0.5)
+            off = np.abs(self.theta_i_rad - self.theta_i_rad[i])[value[:, j] < low]
+            turned = np.abs(self.phi_rad - self.phi_rad[j])[value[i] < low]
             least = min([least, *off, *(np.sin(self.theta_i_rad[i]) * turned if i else ())])
         return 0.5 * float(least)
 
@@ -153,6 +155,8 @@ def sun_rings(table: BrdfTable, radius_rad: float, fewest: int, most: int) -> in
         near = UNSEEN * float(best.max())
         while rings < finest and np.abs(light(*some, rings) - best).max() > near:
             rings = min(max(fewest, 2 * rings), finest)
+        if rings == finest:
+            break
     return rings
 
 

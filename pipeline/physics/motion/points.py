@@ -26,19 +26,20 @@ DIRECTIONS = 4  # in which points and segments are compared
 HALVINGS = 30  # of a node's phases, to find how far nodes serve
 
 
-def points_along(path: Path, band: float) -> tuple[Array, Array, Array]:
+def points_along(path: Path, band: float, seen: float = SEEN) -> tuple[Array, Array, Array]:
     """Places x, y [px] and shares of the light (n,) that stand for a path.
 
     band : highest frequency of the image at rest [cycles/px]. Up to it, light at the points has the
-        transfer function of light along the path, to SEEN; where the path itself stands for another
-        within `path.off_px`, to ASIDE of what it would differ by if all light moved so far.
+        transfer function of light along the path, to `seen`; where the path itself stands for
+        another within `path.off_px`, to ASIDE of what it would differ by if all light moved so far.
 
     The nodes of one Gauss-Legendre rule stand on each run of segments, at equal shares of the light
     for equal steps of the rule; runs that it does not serve, looked at in DIRECTIONS at the band
     itself, are halved, and long segments cut.
     """
     off = ASIDE * 2.0 * np.pi * band * path.off_px
-    x, y, share = _on_runs(path.x_px, path.y_px, path.weight, band, off, _served_rad(), *_rules())
+    nodes = path.x_px, path.y_px, path.weight
+    x, y, share = _on_runs(*nodes, band, off, _served_rad(seen), *_rules())
     return x, y, share
 
 
@@ -167,7 +168,7 @@ def _nodes(count: int) -> tuple[Array, Array]:
 
 
 @cache
-def _served_rad() -> Array:
+def _served_rad(seen: float = SEEN) -> Array:
     """(MOST,) up to which phase of a segment's ends 1, 2, ... nodes serve.
 
     Light spread evenly from -p to p has the transfer function sin(p) / p, nodes t of weights w the
@@ -179,6 +180,6 @@ def _served_rad() -> Array:
         for _ in range(HALVINGS):
             p = 0.5 * (low + high)
             off = abs(0.5 * float(np.cos(p * t) @ w) - math.sin(p) / p)
-            low, high = (p, high) if off <= SEEN else (low, p)
+            low, high = (p, high) if off <= seen else (low, p)
         served.append(low)
     return np.array(served)

@@ -572,7 +572,7 @@ class Ringing:
     """What lies between the samples of a table has no end, and is of both signs.
 
     lacking : most that a pixel lacks, or has too much, where a core ends, per unit light
-    share : how much more or less than all the light is within the core
+    share : how much more or less than all the light is within the core, net
     below : how far pixels are below 0
     """
 
@@ -581,7 +581,7 @@ class Ringing:
     below: float
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=256)
 def ringing(blur: Blur, radius_px: float) -> Ringing:
     """Of a table whose core has such a radius, from the image itself, as pixels collect it."""
     image, distance_px, os = _around_edge(blur, radius_px)
@@ -605,7 +605,7 @@ def _around_edge(blur: Blur, radius_px: float) -> tuple[Array, Array, int]:
     return image, np.hypot(at[:, None], at[None, :]), os
 
 
-def below_zero(r: ResponsePlan) -> float:
+def rings_below(r: ResponsePlan) -> float:
     """How far pixels of a source of unit light are below 0, by a table's ringing."""
     tables = [b for b in r.blurs if isinstance(b.optics, Sampled)]
     if r.spacing_px or not r.classes:

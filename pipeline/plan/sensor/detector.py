@@ -20,6 +20,7 @@ from pipeline.spec.sensor.sensor import Sensor
 QUIET = 0.01  # of the pixels: whose noise drawing is planned for
 LOOKED_AT = 4_000_000  # pixels of a large sensor
 REACH = 8.0  # standard deviations of the photons that are looked at
+KINDS = 1000.0  # between numbers of pixels as noisy, to half an octave: more than 20 REACH
 SMALL_E = 1e4  # charge below which Poisson's law is summed, not a normal one
 LINEARITY_POINTS = 4097  # of a polynomial; straight between them
 
@@ -82,7 +83,8 @@ def cut_off(scene: Scene, maps: SensorMaps, sky_e_s: float, time_s: float) -> tu
     """Which part of the pixels the converter cuts off at 0 DN under sky [e-/s] and dark current
     alone in an exposure, and by how much that raises the mean signal of all [e-].
 
-    Pixels as many standard deviations above 0 DN, to a tenth, count as one of their mean terms.
+    Pixels as many standard deviations above 0 DN, to a tenth, and as noisy, to half an octave,
+    count as one of their mean terms.
     """
     s, d = scene.sensor, scene.sensor.detector
     names = ("flat", "dark_e_per_s", "read_noise_e", "gain_e_per_dn", "bias_dn")
@@ -91,17 +93,17 @@ def cut_off(scene: Scene, maps: SensorMaps, sky_e_s: float, time_s: float) -> tu
         read = np.hypot(read, math.hypot(d.row_noise_e, d.column_noise_e))
     half = 0.5 * gain * (s.adc_rounding == "half_even")  # less far below 0 DN is rounded to it
     charge, zero = (flat * sky_e_s + dark) * time_s, -bias * gain - half
-    above = _signal_e(s, charge) - zero
-    above = above / np.maximum(np.sqrt(charge * s.photon_noise + np.square(read)), 1e-9)
-    kind = np.rint((np.clip(above, -REACH, REACH) + REACH) * 10.0).astype(np.int64)
-    terms = np.broadcast_arrays(charge, read, zero, half)
-    kind = np.broadcast_to(kind, terms[0].shape)
-    count = np.bincount(kind)
+    sigma = np.maximum(np.sqrt(charge * s.photon_noise + np.square(read)), 1e-9)
+    above = np.clip((_signal_e(s, charge) - zero) / sigma, -REACH, REACH)
+    alike = np.rint(10.0 * above) + KINDS * np.rint(2.0 * np.log2(sigma))
+    terms = np.broadcast_arrays(alike, charge, np.square(read), zero, half)
+    alike, kind, count = np.unique(terms[0], return_inverse=True, return_counts=True)
+    mean = [np.bincount(kind.ravel(), term.ravel()) / count for term in terms[1:]]
+    cut = np.abs(alike - KINDS * np.rint(alike / KINDS) - 10.0 * REACH) > 0.5
     share = more_e = 0.0
-    means = [np.bincount(kind, term) / np.maximum(count, 1) for term in terms]
-    for i in np.flatnonzero(count[: int(20.0 * REACH)]):  # of those REACH above none is cut off
-        of_mean_e, read_e, zero_e, half_e = (float(m[i]) for m in means)
-        below, cut_e = below_zero(s, of_mean_e, read_e, zero_e)
+    for i in np.flatnonzero(cut):  # of those REACH above none is
+        of_mean_e, read_e2, zero_e, half_e = (float(m[i]) for m in mean)
+        below, cut_e = below_zero(s, of_mean_e, math.sqrt(read_e2), zero_e)
         share += below * count[i] / kind.size
         more_e += (cut_e + half_e * below) * count[i] / kind.size
     return share, more_e

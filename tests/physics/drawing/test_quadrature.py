@@ -224,11 +224,32 @@ def test_a_narrow_window_beside_a_source_has_all_its_light(
 @pytest.mark.parametrize(
     ("optics", "first"),
     [(Airy(3.0, 0.3), 0), (Airy(30.0), 0), (Airy(0.1), 0), (AIRY, 1000), (MOFFAT, 2000),
-     (SHARP, 300)],
+     (SHARP, 300), (Airy(1.0, 0.2), 100)],
 )  # fmt: skip
 def test_sides_and_areas_agree(optics: object, first: int) -> None:
     """Dark rings, and far away: what flows through a pixel's sides is what falls on it."""
     place = Blur(optics), POINT, (24, 24), (first, first // 2), 3.3, 2.2, 4000.0
     sides, areas = (draw_quadrature(*place, finer, (first + 24, 1)) for finer in (False, True))
     assert (areas > 0.0).all()
-    assert (np.abs(sides - areas) <= RELATIVE * np.maximum(areas, np.sqrt(areas))).all()
+    assert (np.abs(sides - areas) <= RELATIVE * np.sqrt(areas)).all()
+
+
+@pytest.mark.parametrize(("major_px", "minor_px"), [(5.0, 1.0), (10.0, 0.3), (20.0, 1.0)])
+def test_long_ellipses_are_integrated_over_areas(major_px: float, minor_px: float) -> None:
+    """Along a side what flows is far sharper than the ellipse."""
+    blur = Blur(EllipticalGaussian(major_px, minor_px, 0.5))
+    drawn, finer = (
+        draw_quadrature(blur, POINT, (33, 33), (0, 0), 15.8, 16.3, finer=more)
+        for more in (False, True)
+    )
+    assert (np.abs(drawn - finer) <= 1e-11 * finer + 1e-24).all()
+
+
+@pytest.mark.parametrize("half_px", [0.15, 1.0, 3.65])
+@pytest.mark.parametrize("optics", [Airy(6.0), Airy(3.0, 0.3), AIRY, MOFFAT, Gaussian(3.0)])
+def test_few_points_stand_for_a_short_path(optics: object, half_px: float) -> None:
+    """Against twice as many as any rule asks for, to what pixels may err by."""
+    ends = np.array([-half_px, half_px])
+    place = Blur(optics), Path(ends, 0.4 * ends, np.ones(1)), (24, 24), (0, 0), 9.3, 8.2
+    seen, finer = (draw_quadrature(*place, 200.0, more, (24, 24)) for more in (False, True))
+    assert (np.abs(seen - finer) <= RELATIVE * np.sqrt(finer)).all()
