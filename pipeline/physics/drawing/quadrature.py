@@ -150,7 +150,7 @@ def draw_quadrature(
     origin : frame pixel (y, x) of the first; every pixel is its own, whatever the window is in
         a frame of that shape
     reach_px : of the light, which fades out over its last tenth as wings do (drawing/wings.py)
-    finer : with half as many nodes more, and none of the pixels interpolated
+    finer : with half as many nodes more, and every pixel over its area
     """
     n = nodes_of(blur) * 3 // 2 if finer else nodes_of(blur)
     points = points_of(blur, path, finer) + [y_px, x_px, 0.0]
