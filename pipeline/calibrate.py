@@ -57,6 +57,8 @@ def calibrate(product: Path, output: Path, images: Path | None = None) -> JsonOb
     cube = open_raw_cube(product)
     check_sealed(product)  # the copy would take over, and seal as whole, what is not as written
     check_new(output)
+    if output.resolve().is_relative_to(product.resolve()):
+        raise BadInput("-o", str(output), "a path outside of the product")
     scene = parse_scene(parse_yaml(str(cube.attrs["scene"]), f"{product}: scene"))
     found = with_images_of(product, scene.as_dict(), images)
     check_same_images(product, found)

@@ -120,6 +120,7 @@ def test_refusals(product, tmp_path):
         (calibrated, tmp_path / "x", "dn", 2),
         (tmp_path / "there", tmp_path / "x", "product", 2),
         (unfinished, tmp_path / "x", "not complete", 3),
+        (product, product / "mine", "a path outside of the product", 2),
     ):
         done = nightglass("calibrate", source, "-o", output)
         assert done.returncode == code, done.stderr

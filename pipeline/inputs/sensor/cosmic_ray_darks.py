@@ -57,6 +57,10 @@ class DarkStack:
 
 def open_darks(paths: Sequence[Path]) -> DarkStack:
     """Look at the files of a stack; BadInput where they do not fit together."""
+    places = [path.resolve() for path in paths]
+    if len(set(places)) < len(places):
+        again = next(path for i, path in enumerate(paths) if places[i] in places[:i])
+        raise BadInput("DARK_FRAMES", f"{again} twice", "each file once")
     counts: list[int] = []
     shapes: list[tuple[int, int]] = []
     exposures_s: list[float | None] = []

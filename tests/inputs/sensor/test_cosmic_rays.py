@@ -461,3 +461,11 @@ def test_tracks_that_lie_askew_keep_their_rows(tmp_path):
     back = read_library(tmp_path / "askew.fits")
     for name in ("start", "x", "y", "electrons", "frame"):
         np.testing.assert_array_equal(getattr(back, name), getattr(one, name), err_msg=name)
+
+
+def test_a_file_of_darks_counts_once(tmp_path):
+    path = tmp_path / "d.npy"
+    np.save(path, np.zeros((4, 8, 9), np.int16))
+    (tmp_path / "link.npy").symlink_to(path)
+    with pytest.raises(BadInput, match=r"link\.npy twice' is .*allowed: each file once"):
+        open_darks([path, tmp_path / "link.npy"])
