@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.arrays import Array
 from pipeline.physics.psf.band import BandOptics, NoiseLimit
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.sampled import Sampled
@@ -160,19 +162,20 @@ def gather_facts(
 def noise_floor_e(scene: Scene, sky_e: float, terms: Terms) -> float:
     """Noise [e-] of a pixel of these terms, under so much sky in the shortest exposure: of photons,
     unless the scene draws none; of reading; of rounding, which is never nothing."""
-    return math.sqrt(_floor_e2(scene, sky_e, terms))
+    return math.sqrt(floor_e2(scene, sky_e, terms))
 
 
-def _floor_e2(scene: Scene, sky_e: float, terms: Terms) -> float:
-    dark_e_s, read_noise_e, gain_e_per_dn = terms
+def floor_e2(scene: Scene, sky_e: float, terms: Sequence[Array | float]) -> Array:
+    """Its square, the variance; of many pixels, too."""
+    dark_e_s, read_noise_e, gain_e_per_dn = map(np.asarray, terms)
     charge_e = sky_e + dark_e_s * integration_range_s(scene)[0]
     photons_e2 = charge_e if scene.sensor.photon_noise else 0.0
-    return photons_e2 + read_noise_e**2 + gain_e_per_dn**2 / 12.0
+    return np.asarray(photons_e2 + read_noise_e**2 + gain_e_per_dn**2 / 12.0)
 
 
 def quieter_e2(scene: Scene, typical: Terms, quiet: Terms) -> float:
     """How much less variance a pixel of quiet terms has than a typical one [e-^2]."""
-    return _floor_e2(scene, 0.0, typical) - _floor_e2(scene, 0.0, quiet)
+    return float(floor_e2(scene, 0.0, typical) - floor_e2(scene, 0.0, quiet))
 
 
 def error_budget_e(scene: Scene, sigma_e: float) -> float:

@@ -86,7 +86,7 @@ def affordable(blur: Blur, path: Path, shape: tuple[int, int]) -> bool:
     if not has_profile(blur):
         return False
     most = MOST_VALUES / math.prod(shape)
-    if isinstance(blur.optics, EllipticalGaussian):
+    if _over_areas(blur):
         most /= nodes_of(blur) ** 2 // 16
     if points_per_px(blur.band_limit(BAND_FLOOR)) * path.length_px > 2.0 * most:
         return False  # runs of segments may take fewer
@@ -130,7 +130,7 @@ def drawn_s(blur: Blur, path: Path, pixels: int, near: float = 1.0) -> float:
     near : share of such sources whose path crosses them; the others' passes by
     """
     n, around = nodes_of(blur), math.pi * NEAR_PX**2 * near
-    far_s = VALUE_S * n if isinstance(blur.optics, EllipticalGaussian) else 2.0 * SIDE_S
+    far_s = VALUE_S * n if _over_areas(blur) else 2.0 * SIDE_S
     return len(points_of(blur, path)) * n * (far_s * pixels + VALUE_S * around * n)
 
 
@@ -154,19 +154,21 @@ def draw_quadrature(
     """
     n = nodes_of(blur) * 3 // 2 if finer else nodes_of(blur)
     points = points_of(blur, path, finer) + [y_px, x_px, 0.0]
-    ends = [
-        (0, side, first, first + part)
-        for side, first, part in zip(frame, origin, shape, strict=True)
-    ]
-    corners = np.stack(np.meshgrid(*((min(e), max(e)) for e in ends)), axis=-1).reshape(4, 2)
-    farthest = np.linalg.norm(points[:, None, :2] - corners, axis=-1).max() + 2.0
+    first, last = np.minimum(0, origin), np.maximum(frame, np.add(origin, shape))
+    far = np.maximum(points[:, :2] - first, last - points[:, :2])
+    farthest = float(np.hypot(*far.T).max()) + 2.0
     profile = profile_of(blur, min(_at_least(farthest), max(reach_px, 16.0)) + SPARE_PX)
-    areas = finer or isinstance(blur.optics, EllipticalGaussian)
-    near_px = math.inf if areas else NEAR_PX  # an ellipse is too sharp along its sides
+    near_px = math.inf if finer or _over_areas(blur) else NEAR_PX
     rule = points, *_pixel(blur, n), math.sqrt(blur.fill_factor), near_px
     out = np.zeros(shape)
     _integrate(out, *origin, *rule, profile.beyond, *profile.numbers, CUT_FROM * reach_px, reach_px)
     return out
+
+
+def _over_areas(blur: Blur) -> bool:
+    """Whether all pixels are integrated over areas: what crosses a side of an ellipse is sharper
+    than the ellipse."""
+    return isinstance(blur.optics, EllipticalGaussian)
 
 
 @lru_cache(maxsize=64)

@@ -268,16 +268,15 @@ def _without_wings(
     """As `_with_wings`, of responses whose light ends by itself; but what lies between the samples
     of a table has no end, and its cores are as large as the table."""
     usual, whole = (max(_radius_holding(b, e) for b in blurs) for e in NOTHING_BEYOND)
-    tables = [b for b in blurs if isinstance(b.optics, Sampled)]
     for b in blurs:
         check_core(b, whole)
+    tables = [b for b in blurs if isinstance(b.optics, Sampled)]
     for b in tables:
         check_ringing(ringing(b, whole).share, scene.accuracy.flux_fraction)
-    ends = (
+    at_usual, at_whole = (
         max([least, *(end_share(b, radius) for b in tables)])
         for least, radius in zip(NOTHING_BEYOND, (usual, whole), strict=True)
     )
-    at_usual, at_whole = ends
     cores = ((usual, facts.budget_e / at_usual, 0.0), (whole, math.inf, at_whole))
     steep = [b for b in blurs if isinstance(b.optics, Gaussian | EllipticalGaussian)]
     reach = max([whole, *(_radius_holding(b, FAINTEST) / CUT_FROM for b in steep)])
@@ -607,9 +606,9 @@ def _around_edge(blur: Blur, radius_px: float) -> tuple[Array, Array, int]:
 
 def rings_below(r: ResponsePlan) -> float:
     """How far pixels of a source of unit light are below 0, by a table's ringing."""
-    tables = [b for b in r.blurs if isinstance(b.optics, Sampled)]
     if r.spacing_px or not r.classes:
         return 0.0
+    tables = (b for b in r.blurs if isinstance(b.optics, Sampled))
     return max((ringing(b, r.classes[-1].radius_px).below for b in tables), default=0.0)
 
 

@@ -11,8 +11,7 @@ from pipeline.arrays import Array, SensorMaps
 from pipeline.physics.noise.transfer import lag_frames
 from pipeline.physics.noise.wells import collected_e, measured_e
 from pipeline.plan.accuracy import SMALL, part_sigma
-from pipeline.plan.facts import Terms
-from pipeline.plan.timing import integration_range_s
+from pipeline.plan.facts import Terms, floor_e2
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import Detector, PolynomialResponse
 from pipeline.spec.sensor.sensor import Sensor
@@ -40,24 +39,18 @@ def _with_lines_e(scene: Scene, read_noise_e: float) -> float:
 def quiet_terms(scene: Scene, maps: SensorMaps) -> Terms:
     """Dark current [e-/s], noise of reading [e-] and gain of a pixel that is among the QUIET ones
     in the shortest exposure; the typical ones where their noise is less."""
-    time_s = integration_range_s(scene)[0] * scene.sensor.photon_noise
     names = ("dark_e_per_s", "read_noise_e", "gain_e_per_dn")
-    dark_e_s, _, gain = map(maps.typical, names)
-    typical = dark_e_s, typical_read_noise_e(scene, maps), gain
+    alone = [maps.typical(name) for name in names]
+    typical = alone[0], typical_read_noise_e(scene, maps), alone[2]
     if not any(np.ndim(getattr(maps, name)) for name in names):
         return typical
-
-    def variance(dark_e_s: Array | float, read_e: Array | float, gain: Array | float) -> Array:
-        return np.asarray(dark_e_s * time_s + np.square(read_e) + np.square(gain) / 12.0)
-
-    terms = np.broadcast_arrays(*_some(scene, maps, names))
-    each = variance(*terms)
+    dark_e_s, read_e, gain = np.broadcast_arrays(*_some(scene, maps, names))
+    each = floor_e2(scene, 0.0, (dark_e_s, read_e, gain))
     rank = int(QUIET * (each.size - 1))
     at = np.argpartition(each, rank)[rank]
-    if each[at] >= variance(*map(maps.typical, names)):
+    if each[at] >= floor_e2(scene, 0.0, alone):
         return typical
-    dark_e_s, read_e, gain = (float(term[at]) for term in terms)
-    return dark_e_s, _with_lines_e(scene, read_e), gain
+    return float(dark_e_s[at]), _with_lines_e(scene, float(read_e[at])), float(gain[at])
 
 
 def converter_top_e(scene: Scene, maps: SensorMaps) -> float:
@@ -95,17 +88,17 @@ def cut_off(scene: Scene, maps: SensorMaps, sky_e_s: float, time_s: float) -> tu
     charge, zero = (flat * sky_e_s + dark) * time_s, -bias * gain - half
     sigma = np.maximum(np.sqrt(charge * s.photon_noise + np.square(read)), 1e-9)
     above = np.clip((_signal_e(s, charge) - zero) / sigma, -REACH, REACH)
-    alike = np.rint(10.0 * above) + KINDS * np.rint(2.0 * np.log2(sigma))
-    terms = np.broadcast_arrays(alike, charge, np.square(read), zero, half)
-    alike, kind, count = np.unique(terms[0], return_inverse=True, return_counts=True)
-    mean = [np.bincount(kind.ravel(), term.ravel()) / count for term in terms[1:]]
-    cut = np.abs(alike - KINDS * np.rint(alike / KINDS) - 10.0 * REACH) > 0.5
+    kinds = np.rint(10.0 * above), np.rint(2.0 * np.log2(sigma))
+    every = np.broadcast_arrays(*kinds, charge, np.square(read), zero, half)
+    cut = every[0] < 10.0 * REACH  # of those REACH above none is
+    tenths, octaves, *terms = (term[cut] for term in every)
+    _, kind, count = np.unique(tenths + KINDS * octaves, return_inverse=True, return_counts=True)
+    mean = [np.bincount(kind, term) / count for term in terms]
     share = more_e = 0.0
-    for i in np.flatnonzero(cut):  # of those REACH above none is
-        of_mean_e, read_e2, zero_e, half_e = (float(m[i]) for m in mean)
+    for n, of_mean_e, read_e2, zero_e, half_e in np.stack([count, *mean], axis=1).tolist():
         below, cut_e = below_zero(s, of_mean_e, math.sqrt(read_e2), zero_e)
-        share += below * count[i] / kind.size
-        more_e += (cut_e + half_e * below) * count[i] / kind.size
+        share += below * n / cut.size
+        more_e += (cut_e + half_e * below) * n / cut.size
     return share, more_e
 
 

@@ -252,7 +252,7 @@ class MeshBody(Meshed):
         owners: tuple[Meshed, ...] = (self, *self.parts)
         surfaces = chain(*((owner.surface, *owner.materials.values()) for owner in owners))
         of_tables = math.inf if self._model is None else float(self._model.highlight_rad)
-        return min(of_tables, *(s.highlight_rad for s in surfaces if s is not None), math.inf)
+        return min([of_tables, *(s.highlight_rad for s in surfaces if s is not None)])
 
     @property
     def model(self) -> Any:
