@@ -11,7 +11,7 @@ from fastapi.responses import JSONResponse, Response
 
 from pipeline.store import layout
 from service.context import Context, Service
-from service.jobs.jobs import Job, Phase
+from service.jobs.jobs import FINAL, Job, Phase
 from service.problems import NotReady, NotThere
 from service.products.files import list_files, serve_file
 
@@ -82,5 +82,6 @@ def plan(request: Request, service: Service, job_id: str) -> Response:
     job = scene_job(service, job_id)
     product = service.settings.product(job_id)
     if not (product / layout.PLAN).is_file():
-        raise NotReady(f"the job is {job.phase}: it has no plan yet")
+        yet = "" if job.phase in FINAL else " yet"
+        raise NotReady(f"the job is {job.phase}: it has no plan{yet}")
     return serve_file(request, product, layout.PLAN)

@@ -394,6 +394,15 @@ def test_a_path_where_no_file_can_be_is_bad_input(below, said, bright, tmp_path)
     assert ran.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize("radius", ["0", "-1", "180.5", "nan"])
+def test_a_cone_has_a_size(radius, bright):
+    ran = nightglass("catalog", "cone", bright, "--ra=0", "--dec=0", f"--radius={radius}")
+    assert ran.returncode == 2
+    assert ran.stderr.count("\n") == 1
+    assert "radius_deg" in ran.stderr
+    assert "above 0, up to 180" in ran.stderr
+
+
 @pytest.mark.parametrize("command", ["cone", "observe", "light-curve"])
 def test_a_table_without_room_is_there_whole_or_not_at_all(command, bright, tmp_path, monkeypatch):
     """The disk fills up as the last of it is written."""

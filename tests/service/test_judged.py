@@ -202,4 +202,6 @@ def test_what_cannot_be_judged_in_time_is_taken(
     assert ended["phase"] == "ERROR"
     assert "my-camera.npy" in ended["error"]["errors"][0]["value"]
     assert "my-camera.npy" in ended["error"]["message"]
+    said = server.client.get(f"{ended['links']['self']}/plan").json()["detail"]
+    assert said == "the job is ERROR: it has no plan"
     assert '"level": "error"' not in server.logged()

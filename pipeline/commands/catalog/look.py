@@ -41,7 +41,7 @@ def cone(
         float | None, typer.Option("--dec", min=-90, max=90, help="centre of a cone, degrees")
     ] = None,
     radius_deg: Annotated[
-        float | None, typer.Option("--radius", min=0, max=180, help="of the cone, degrees")
+        float | None, typer.Option("--radius", help="of the cone, degrees: above 0, up to 180")
     ] = None,
     corner: Annotated[
         list[str] | None, typer.Option(help="RA,DEC of a polygon; three or more, instead of a cone")
