@@ -15,7 +15,7 @@ import numpy as np
 from catalog_tools.documents import Arguments
 from pipeline.errors import BadInput
 from pipeline.kept import kept, kept_array
-from pipeline.physics.drawing.along import swept_spectrum
+from pipeline.physics.drawing.along import lit_columns, swept_spectrum
 from pipeline.physics.drawing.spectral import transfer_table
 from pipeline.physics.drawing.spectral_band import peak_light
 from pipeline.physics.drawing.spectral_plan import SpectralPlan, plan_spectral
@@ -36,6 +36,7 @@ from pipeline.physics.psf.response import (
 from pipeline.plan.needs import KERNEL_BYTES, TABLE_BYTES
 
 Swept = tuple[CoreGrid, np.ndarray, tuple[int, int], tuple[int, int]]
+Still = tuple[CoreGrid, np.ndarray, np.ndarray, tuple[int, int], tuple[int, int]]
 
 FINEST_ERROR = 1e-5  # of the peak of a source, in any pixel: what transforms are asked for
 ALIKE_PX = 8.0
@@ -112,15 +113,18 @@ def swept_core(blur: Blur, radius_px: float, piece: Path) -> Swept:
     return grid, spectrum, half, period
 
 
-def still_core(blur: Blur, radius_px: float, piece: Path) -> Swept:
-    """A core's grid with its spectrum at rest in the window that a path sweeps; as `swept_core`."""
+def still_core(blur: Blur, radius_px: float, piece: Path) -> Still:
+    """A core's grid with its spectrum at rest in the window that a path sweeps, and how much of
+    each row of that holds light; else as `swept_core`."""
     grid, half, period = _window(blur, radius_px, piece)
-    spectrum = _CACHE.get(
-        ("still", blur, radius_px, *period),
-        lambda: core_spectrum(core_of(blur, radius_px), *period),
-        _bytes,
-    )
-    return grid, spectrum, half, period
+
+    def make() -> tuple[np.ndarray, np.ndarray]:
+        spectrum = core_spectrum(core_of(blur, radius_px), *period)
+        return spectrum, lit_columns(spectrum)
+
+    kept_as = "still", blur, radius_px, *period
+    spectrum, columns = _CACHE.get(kept_as, make, lambda both: sum(map(_bytes, both)))
+    return grid, spectrum, columns, half, period
 
 
 def _window(

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.arrays import FrameStars
-from pipeline.execute.light import draw_stars
+from pipeline.execute.light import _draw_points, draw_stars
 from pipeline.execute.sources import streaks
 from pipeline.execute.tables import swept_core
 from pipeline.physics.drawing import quadrature
@@ -32,6 +32,8 @@ from pipeline.plan.rule import PlanBasis
 from pipeline.plan.stars.engines import (
     POINT_ROUNDING,
     _beyond_s,
+    _Costs,
+    _one_by_one,
     _said_of_bright,
     choose_engines,
     cubic_bound,
@@ -244,6 +246,26 @@ def test_a_table_that_errs_too_much_for_a_star_draws_none_of_it():
     assert alone.sum() == pytest.approx(3e5, rel=1e-3)
     assert np.array_equal(image(64, 1e-2), alone)
     assert not np.array_equal(image(64, 1e-9), alone)
+
+
+def test_stars_are_paid_for_as_they_are_drawn():
+    """As points where a table of them serves, else each by a transform: far dearer where the
+    response is sharper than pixels, as an airy image of a tenth of one."""
+    plan = plan_of(20.0, 64, 64, {"kind": "airy", "wavelengths": 1})
+    g = plan_geometry(plan.scene, np.zeros(1, int), 0.0)
+    made = with_engines(plan, StarCounts(np.geomspace(1e2, 1e6, 20_000)))
+    streak = streaks(plan, g)[0]
+    for k, core in enumerate(made.responses.classes):
+        to_e = _Costs(plan, core, streak, streak.own_from_e).points_to_e
+        given = made, np.zeros((64, 64)), Tile(0, 0, 0, 0, 64, 64), k, streak.path, 30.0, 31.0
+        limits = 0.99 * to_e, 1.01 * to_e
+        as_points = [_draw_points(*given, light_e, plan.responses.band) for light_e in limits]
+        assert as_points == [k == 1, False]
+    core = replace(plan.responses.classes[1], brightest_e=1e6)
+    way = _Costs(plan, core, streak, streak.own_from_e)
+    light = np.array([2.0, 0.9 * way.points_to_e, 1.1 * way.points_to_e, 9e5])
+    cost_s, *_ = _one_by_one(core, [way], [1.0], StarCounts(light, each=1e4))
+    assert cost_s == way.points(2e4) + way.along(2e4) < 0.7 * way.along(4e4)
 
 
 @pytest.mark.parametrize("streak_px", [30.0, 150.0])

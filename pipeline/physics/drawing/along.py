@@ -23,12 +23,13 @@ def swept_spectrum(core: Core, path: Path, period: tuple[int, int]) -> NDArray[n
     if not path.length_px and not path.x_px[0] and not path.y_px[0]:
         return spectrum
     fy, fx = frequencies(core, *period)
-    return _swept(spectrum, fy, fx, path.x_px, path.y_px, path, len(fy))
+    return _swept(spectrum, lit_columns(spectrum), fy, fx, path.x_px, path.y_px, path, len(fy))
 
 
 def stamp_along(
     core: CoreGrid,
     spectrum: NDArray[np.complex128],
+    columns: NDArray[np.int64],
     half: tuple[int, int],
     period: tuple[int, int],
     path: Path,
@@ -37,8 +38,8 @@ def stamp_along(
 ) -> tuple[int, int, Array]:
     """Stamp of unit light whose path is around (y, x): (first row, first column, (rows, cols)).
 
-    core : with its `spectrum` at rest, and the `half` window and `period` [px] that hold it swept
-        by the path (psf/response.py)
+    core : with its `spectrum` at rest and the `columns` of it that hold light (`lit_columns`), and
+        the `half` window and `period` [px] that hold it swept by the path (psf/response.py)
 
     The path's transfer function, the shift to (y, x) and the sum over the spectrum's copies along
     y are taken in one pass: nothing of the whole spectrum's size is made for a source. What
@@ -47,12 +48,13 @@ def stamp_along(
     iy, ix = int(np.floor(y_px)), int(np.floor(x_px))
     fy, fx = frequencies(core, *period)
     x, y = path.x_px + (x_px - ix), path.y_px + (y_px - iy)
-    rows = _swept(spectrum, fy, fx, x, y, path, period[0]) / core.oversampling
+    rows = _swept(spectrum, columns, fy, fx, x, y, path, period[0]) / core.oversampling
     return iy - half[0], ix - half[1], stamp_of(rows, half, period, core.oversampling)
 
 
 def _swept(
     spectrum: NDArray[np.complex128],
+    columns: NDArray[np.int64],
     fy: Array,
     fx: Array,
     x: Array,
@@ -64,13 +66,12 @@ def _swept(
 
     Of each row as many columns as hold light: an oversampled spectrum is mostly empty.
     """
-    columns = _lit(spectrum)
     lit = int(columns.max())
     return _folded(spectrum, transfer(fy, fx[:lit], x, y, path.weight, columns), columns, rows)
 
 
 @njit(cache=True, nogil=True)
-def _lit(spectrum):
+def lit_columns(spectrum):
     """How many columns (n,) of each row of a spectrum hold light."""
     rows, count = spectrum.shape
     out, least = np.zeros(rows, np.int64), (NO_LIGHT * abs(spectrum[0, 0])) ** 2

@@ -248,7 +248,7 @@ def plan_streaks(
             )
             if not made.off_px:
                 return made
-            made = replace(made, own_from_e_px=_light_from(made.off_px, made))
+            made = replace(made, own_from_e_px=light_from(made.off_px, made))
             return replace(made, finer=_finer(made, offsets))
         zones = min(2 * zones, most)
 
@@ -269,7 +269,7 @@ def _finer(plan: StreakPlan, offsets: Array) -> StreakPlan | None:
         merge_px=plan.merge_px / FINER_SHAPE,
         tolerance_px=plan.rounding_px,
     )
-    return replace(made, own_from_e_px=_light_from(made.off_px, made))
+    return replace(made, own_from_e_px=light_from(made.off_px, made))
 
 
 def resting(plan: StreakPlan, curvature: float, slope: float) -> StreakPlan:
@@ -281,7 +281,7 @@ def resting(plan: StreakPlan, curvature: float, slope: float) -> StreakPlan:
     """
     error = curvature * 5.0 * plan.longest_px**2 / 4.0 + slope * min(plan.own_px, plan.spread_px)
     made = replace(plan, at_rest=error)
-    return replace(made, own_from_e_px=_light_from(made.off_px, made))
+    return replace(made, own_from_e_px=light_from(made.off_px, made))
 
 
 def merged_px(
@@ -301,7 +301,7 @@ def allowed_e(along_e: Array, floor_e: float, budget_e: float, photons: bool) ->
     return np.asarray(budget_e * np.sqrt(1.0 + photons * along_e / floor_e**2))
 
 
-def _light_from(off_px: float, plan: StreakPlan) -> float:
+def light_from(off_px: float, plan: StreakPlan) -> float:
     """Light per px of path x [e-] where its error x off equals budget sqrt(1 + x/floor^2) [e-],
     or, where light has no noise of its own, the budget."""
     if off_px == 0.0 or not math.isfinite(plan.budget_e):

@@ -41,7 +41,7 @@ from pipeline.plan.response.responses import (
     stamp_s,
     table_bytes,
 )
-from pipeline.plan.response.streaks import POINTS, Streak, zone_streak
+from pipeline.plan.response.streaks import POINTS, Streak, light_from, zone_streak
 from pipeline.plan.stars.field_stars import StarCounts
 from pipeline.plan.tiles import BLOCK_PX
 
@@ -53,8 +53,8 @@ if TYPE_CHECKING:
 # it has points.
 STAR_S, STAR_S_PER_SAMPLE, ALONG_S_PER_SAMPLE, TABLE_S_PER_VALUE = 2e-4, 9e-9, 5e-9, 4e-8
 CUBIC = 3.0
-FEWEST_PHASES, MOST_PHASES = 8, 64  # of tables of points
-POINT_BYTES = 48e6  # what the table of points may take
+FEWEST_PHASES, MOST_PHASES = 8, 256  # of tables of points
+POINT_BYTES = 64e6  # what the table of points may take
 POINT_ROUNDING = 7e-8  # of their light: tables are in single precision (psf/response.py)
 ENDS = 6.0  # more points than a long line has: those of a segment, for its ends
 BRIGHTEST_E = 1e12  # of a star whose own path is cut into segments
@@ -180,9 +180,16 @@ def _one_by_one(
     core: CoreClass, ways: list[_Costs], from_e: list[float], counts: StarCounts
 ) -> tuple[float, bool, float]:
     """CPU seconds of drawing stars of a class from so much light on along their own paths, whether
-    as points, and most of them."""
+    as points those that a table serves, and most of them."""
     stars = [counts.between(light_e, core.brightest_e) for light_e in from_e]
-    points_s, along_s = (_mean_s(way_s, ways, stars) for way_s in (_Costs.points, _Costs.along))
+    to_e = [
+        float(np.clip(way.points_to_e, e, core.brightest_e))
+        for way, e in zip(ways, from_e, strict=True)
+    ]
+    served = [counts.between(*one) for one in zip(from_e, to_e, strict=True)]
+    others = [n - as_points for n, as_points in zip(stars, served, strict=True)]
+    points_s = _mean_s(_Costs.points, ways, served) + _mean_s(_Costs.along, ways, others)
+    along_s = _mean_s(_Costs.along, ways, stars)
     return min(points_s, along_s), points_s <= along_s, max(stars)
 
 
@@ -278,6 +285,9 @@ class _Costs:
         self._across_px = math.hypot(*plan.scene.sensor.shape) + 2.0 * core.radius_px
         light_e = min(core.brightest_e, BRIGHTEST_E)
         self.point_phases, self.point_error = self._table_at(light_e, POINT, 1)
+        near, densest = light_near(self._sweep, core.radius_px)
+        off_px = self.point_error / POINTS * near / densest
+        self.points_to_e = light_from(off_px, r.streaks) / densest
         self._fine, self.fine_to_e, self.fine_phases = r.streaks.finer, 0.0, 0
         if self._fine is not None:
             self.fine_to_e = self._fine.own_from_e_px * max(1.0, self._sweep.length_px)

@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.physics.drawing.along import NO_LIGHT, stamp_along, swept_spectrum
+from pipeline.physics.drawing.along import (
+    NO_LIGHT,
+    lit_columns,
+    stamp_along,
+    swept_spectrum,
+)
 from pipeline.physics.motion.streak import POINT, Path, transfer
 from pipeline.physics.psf.pupil import Airy, Blur, Gaussian
 from pipeline.physics.psf.response import (
@@ -29,8 +34,9 @@ def test_against_the_whole_spectrum(optics, path):
     fy, fx = frequencies(core, *period)
     still = core_spectrum(core, *period)
     swept = still * transfer(fy, fx, path.x_px, path.y_px, path.weight)
+    of_core = core, still, lit_columns(still), (half_y, half_x), tuple(period)
     for y, x in ((0.0, 0.0), (17.25, -3.61), (-0.001, 250.999)):
-        row, column, stamp = stamp_along(core, still, (half_y, half_x), tuple(period), path, y, x)
+        row, column, stamp = stamp_along(*of_core, path, y, x)
         expected = stamp_at(core, swept, (half_y, half_x), tuple(period), y, x)
         assert (row, column) == expected[:2]
         np.testing.assert_allclose(stamp, expected[2], rtol=0.0, atol=1e-12)
