@@ -7,13 +7,14 @@ on tiles. A block is drawn once and serves all tiles that it overlaps.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from pipeline.arrays import Array, FrameStars, Geometry, concatenate
+from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
 from pipeline.execute.sources import (
     FrameTarget,
     drawing_order,
@@ -28,19 +29,22 @@ from pipeline.execute.sources import (
 from pipeline.execute.tables import kernel_of, spectral_of, spectral_plan_of, streak_of
 from pipeline.physics.drawing.extended import spread_body
 from pipeline.physics.drawing.quadrature import affordable
-from pipeline.physics.drawing.spectral import Sources, draw_spectral
+from pipeline.physics.drawing.spectral import Sources, draw_points, draw_spectral
 from pipeline.physics.drawing.spectral_plan import brightest_for
 from pipeline.physics.drawing.wings import WingGrid, convolve, spread, wing_grid
-from pipeline.physics.motion.streak import Path, within
+from pipeline.physics.motion.points import points_of_many
+from pipeline.physics.motion.streak import POINT, Path, light_near, within
 from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.accuracy import UNSEEN, crowd_error_e
 from pipeline.plan.plan import Plan
-from pipeline.plan.response.responses import first_above
-from pipeline.plan.response.streaks import Streak
+from pipeline.plan.response.own_paths import star_offsets
+from pipeline.plan.response.responses import CoreClass, first_above
+from pipeline.plan.response.streaks import Streak, points_to, together_e
 from pipeline.plan.tiles import BLOCK_PX, Tile, cut_up, distance_px
 
 Spectrum = NDArray[np.complex128]
 
+POINTS_AT_ONCE = 2**20  # of stars along their own paths, that are spread together
 MOST_POINTS = 65_536  # of a body along its path, that are spread one by one
 _POINT = np.zeros(1), np.zeros(1), np.ones(1)  # y, x and share of the light of a body
 
@@ -51,7 +55,8 @@ class LightBlock:
 
     grid, star_wings, target_wings : the wings' grid and its fields; None where there are none
     crowd_e : (rows, columns) light of the stars drawn together, None where stamps draw all
-    crowd_limit_e : stars of at most so much light are in it
+    crowd_limit_e : stars of at most so much light are in it; own_limits_e : and those of each core
+        class of at most so much, along their own paths
     wing_error_e : what the wings of the densest crowd of stars and of targets around may err by
     """
 
@@ -61,13 +66,16 @@ class LightBlock:
     target_wings: Array | None
     crowd_e: NDArray[np.floating] | None
     crowd_limit_e: float
+    own_limits_e: tuple[float, ...]
     wing_error_e: float
 
     def in_crowd(self, plan: Plan, stars: FrameStars, paths: list[Streak]) -> NDArray[np.bool_]:
         """Which stars (n,) are in the block's own image already."""
         if self.crowd_e is None:
             return np.zeros(len(stars), bool)
-        return (stars.light_e <= self.crowd_limit_e) & ~too_short(plan, stars, paths)
+        own_e = np.array([*self.own_limits_e, 0.0])[class_of(plan, stars.light_e)]
+        alike = (stars.light_e <= self.crowd_limit_e) & ~too_short(plan, stars, paths)
+        return alike | (stars.light_e <= own_e)
 
 
 def plan_blocks(plan: Plan, most_stars: float) -> tuple[Tile, ...]:
@@ -76,7 +84,7 @@ def plan_blocks(plan: Plan, most_stars: float) -> tuple[Tile, ...]:
     most_stars : no frame holds more.
     """
     r = plan.responses
-    if not r.spacing_px and not (r.spectral_from and most_stars >= r.spectral_from):
+    if not r.spacing_px and most_stars < min(r.crowds_from, default=math.inf):
         return ()
     return cut_up(plan.scene.sensor.shape, (BLOCK_PX, BLOCK_PX))
 
@@ -128,8 +136,8 @@ def render_block(plan: Plan, g: Geometry, place: Tile, parts: list[FrameStars]) 
     error_e = _wing_error_e(plan, every, targets)
     paths = streaks(plan, g) if len(stars) else []
     grid, star_wings, target_wings = _wings(plan, place, reach, stars, paths, setting, targets)
-    crowd, limit = _crowd(plan, place, stars, paths)
-    return LightBlock(place, grid, star_wings, target_wings, crowd, limit, error_e)
+    crowd, limit_e, own_e = _crowds(plan, g, place, stars, paths)
+    return LightBlock(place, grid, star_wings, target_wings, crowd, limit_e, own_e, error_e)
 
 
 def _wing_error_e(plan: Plan, stars: FrameStars, targets: list[FrameTarget]) -> float:
@@ -145,6 +153,75 @@ def _wing_error_e(plan: Plan, stars: FrameStars, targets: list[FrameTarget]) -> 
     crowd_e = crowd_error_e(np.zeros(len(x)), x, y, error_e[seen], *sides)
     errors = np.array([c.target_error for c in r.classes] + [0.0])
     return crowd_e + math.fsum(errors[target_class(plan, t)] * t.light_e for t in targets)
+
+
+def _crowds(
+    plan: Plan, g: Geometry, place: Tile, stars: FrameStars, paths: list[Streak]
+) -> tuple[NDArray[np.floating] | None, float, tuple[float, ...]]:
+    """The stars of a block that are drawn together, and the light up to which those of the first
+    core class are with common streaks, and those of each along their own paths."""
+    r, classes = plan.responses, class_of(plan, stars.light_e)
+    image: NDArray[np.floating] | None = None
+    limits = [0.0] * len(r.classes)
+    for k, core in enumerate(r.classes):
+        mine = select(stars, classes == k)
+        if 0 < core.together_from <= len(mine):
+            one, limits[k] = _own_crowd(plan, g, place, core, mine, paths)
+            image = one if image is None or one is None else image + one
+    if limits and limits[0]:
+        return image, 0.0, tuple(limits)
+    one, limit = _crowd(plan, place, stars, paths)
+    both = one if image is None else image if one is None else image + one
+    return both, limit, tuple(limits)
+
+
+def _own_crowd(
+    plan: Plan,
+    g: Geometry,
+    place: Tile,
+    core: CoreClass,
+    stars: FrameStars,
+    paths: list[Streak],
+) -> tuple[NDArray[np.floating] | None, float]:
+    """Stars of a core class together, each as points along its own path, and the light up to which
+    they are drawn; none where no transform serves."""
+    r = plan.responses
+    shape, points = (place.rows, place.columns), points_to(r.crowd_band, paths)
+    asked = core.radius_px, POINT, shape, len(stars) * points, r.budget_e / core.together_e
+    near = _near(plan, place, core.radius_px + _farthest(paths))
+    limit = min(core.brightest_e, together_e(r.streaks, paths))
+    share = max(light_near(s.path, core.radius_px)[0] for s in paths)
+    for blur in near:
+        spectral = spectral_plan_of(blur, *asked)
+        if spectral is None:
+            return None, 0.0
+        limit = min(limit, brightest_for(spectral, r.budget_e, share))
+    served, image = select(stars, stars.light_e <= limit), np.zeros(shape)
+    if not len(served):
+        return None, 0.0
+    for blur in near:
+        spectral, table = spectral_of(blur, *asked)
+        along = _along_own(plan, g, served, blur, math.sqrt(2.0) * spectral.limit, points)
+        image += draw_points(spectral, table, along, (place.y0, place.x0))
+    return image, limit
+
+
+def _along_own(
+    plan: Plan, g: Geometry, stars: FrameStars, blur: Blur, band: float, points: int
+) -> Iterator[tuple[Array, Array, Array]]:
+    """x, y [px] and light [e-] of stars as about so many points each, of some stars at a time:
+    their part in one response, for waves up to a band [cycles/px]."""
+    aberration = plan.scene.star_effects["aberration"]
+    at_once = max(1, POINTS_AT_ONCE // points)
+    for first in range(0, len(stars), at_once):
+        some = slice(first, first + at_once)
+        x, y, light = (v[some, None] for v in (stars.x_px, stars.y_px, stars.light_e))
+        offsets = star_offsets(plan.camera, g, x[:, 0], y[:, 0], aberration)[:, :, 0]
+        (along_x, along_y), share = points_of_many(offsets, min(band, plan.responses.band))
+        places = (x + along_x).ravel(), (y + along_y).ravel()
+        for one, which, part_e in plan.responses.parts(*places, (light * share).ravel()):
+            if one == blur:
+                yield places[0][which], places[1][which], part_e
 
 
 def _crowd(

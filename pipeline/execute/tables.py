@@ -34,11 +34,11 @@ from pipeline.physics.psf.response import (
     window,
 )
 from pipeline.plan.needs import KERNEL_BYTES, TABLE_BYTES
+from pipeline.plan.response.responses import FINEST_ERROR
 
 Swept = tuple[CoreGrid, np.ndarray, tuple[int, int], tuple[int, int]]
 Still = tuple[CoreGrid, np.ndarray, np.ndarray, tuple[int, int], tuple[int, int]]
 
-FINEST_ERROR = 1e-5  # of the peak of a source, in any pixel: what transforms are asked for
 ALIKE_PX = 8.0
 BENT = 1e-3  # of the spacing of a grid of wings: how straight the runs are that sweep them
 

@@ -17,7 +17,7 @@ from pipeline.plan.cost import NOISE_S_PER_PIXEL, START_S, check_count, least_cp
 from pipeline.plan.optics.optics import LARGEST_CORE_SAMPLES
 from pipeline.plan.plan import Plan
 from pipeline.plan.resolved import ResolvedScene
-from pipeline.plan.response.responses import SPECTRAL_S, SPECTRAL_S_PER_PIXEL, stamp_s
+from pipeline.plan.response.responses import crowd_s, stamp_s
 from pipeline.plan.tiles import BLOCK_PX, tile_shape
 
 # Measured on one core of the 2-core reference machine (benchmarks/frame.py prints them anew).
@@ -169,7 +169,7 @@ def _memory_mb(plan: Plan, forecast: StarForecast | None, spent: Spent) -> dict[
         "stars": stars * STAR_BYTES / 1e6,
         "tables": r.table_mb + max(0.0, _core_mb(plan) - LIBRARY_MB),
     }
-    if _in_crowds(plan, stars):
+    if _in_crowds(plan, stars) or any(core.together_from for core in r.classes):
         pixels = min(math.prod(plan.scene.sensor.shape), BLOCK_PX**2)
         out["crowds"] = CROWD_BYTES_PER_PIXEL * pixels / 1e6
     if r.spacing_px and _classes_used(plan, spent, r.around):
@@ -292,7 +292,8 @@ def _profiles_s(plan: Plan, spent: Spent) -> float:
 def _in_crowds(plan: ResolvedScene, stars: int) -> bool:
     """Whether the frame's stars, spread evenly, are enough for transforms."""
     blocks = math.ceil(math.prod(plan.scene.sensor.shape) / BLOCK_PX**2)
-    return 0 < plan.responses.spectral_from <= stars / blocks
+    own = plan.responses.classes[0].together_from if plan.responses.classes else 0
+    return not own and 0 < plan.responses.spectral_from <= stars / blocks
 
 
 def drawing_s(plan: ResolvedScene, stars: int) -> float:
@@ -301,10 +302,7 @@ def drawing_s(plan: ResolvedScene, stars: int) -> float:
     if not r.classes or not stars:
         return 0.0
     if _in_crowds(plan, stars):
-        pixels = math.prod(plan.scene.sensor.shape)
-        many, together = len(r.blurs), stars * min(4, len(r.blurs))
-        crowd_s = SPECTRAL_S_PER_PIXEL * pixels * r.streaks.shapes * many + SPECTRAL_S * together
-        return crowd_s + (r.stars_s or 0.0)
+        return crowd_s(r, math.prod(plan.scene.sensor.shape), stars) + (r.stars_s or 0.0)
     if r.stars_s is not None:
         return r.stars_s
     drawn = stars * min(4, len(r.blurs))  # by the responses around each

@@ -248,6 +248,23 @@ def test_a_table_that_errs_too_much_for_a_star_draws_none_of_it():
     assert not np.array_equal(image(64, 1e-9), alone)
 
 
+def test_crowds_of_a_wide_field_are_drawn_along_their_own_paths():
+    """Where stars move differently over the field, many together are cheaper by half than by
+    tables of each zone's shapes; not few, nor those of a narrow field, which move alike."""
+    wide, narrow = plan_of(60.0), plan_of(60.0, focal_length_m=20.0)
+    few, many, alike = (
+        chosen(plan, stars, (8.0, 18.0)) for plan, stars in ((wide, 50), (wide, 3e4), (narrow, 3e4))
+    )
+    assert [c.together_from for c in few.responses.classes] == [0, 0]
+    assert alike.responses.classes[0].together_from == 0
+    core = many.responses.classes[0]
+    assert 3000 < core.together_from < 4000
+    assert core.together_e > 1e4
+    words = {d.component: d.reason for d in many.decisions}
+    assert "stars with cores of 4 px together, along their own paths" in words["star_engines"]
+    assert f"where {core.together_from} stars or more with" in words["crowds_by_transforms"]
+
+
 def test_stars_are_paid_for_as_they_are_drawn():
     """As points where a table of them serves, else each by a transform: far dearer where the
     response is sharper than pixels, as an airy image of a tenth of one."""

@@ -171,6 +171,39 @@ def test_stars_near_the_centre_of_a_turn_hold_the_bound(side, roll_deg, drift_px
         assert np.abs(part - exact).max() <= told
 
 
+@pytest.mark.parametrize("psf", [{"kind": "gaussian", "sigma_px": 0.8},
+                                 {"kind": "airy", "wavelength_nm": 650.0}])  # fmt: skip
+def test_stars_together_along_their_own_paths_have_their_light(psf):
+    """On the frame and around it, of a field that turns and drifts: as one by one, to what the
+    transforms may err by; each star once; and whatever the tiles are, the same bits."""
+    plan = plan_of(psf, 24.0, 20.0, roll_deg=15.0, side=200)
+    g, rng = geometry_of(plan), np.random.default_rng(6)
+    x, y = rng.uniform(-60.0, 260.0, (2, 240))
+    stars = field(x, y, 10.0 ** rng.uniform(1.0, 4.5, 240))
+    r, whole = plan.responses, Tile(0, 0, 0, 0, 200, 200)
+
+    def image(tiles: list[Tile], **ways: float) -> np.ndarray:
+        classes = tuple(replace(c, phases=0, **ways) for c in r.classes)
+        drawing = replace(plan, responses=replace(r, classes=classes, spectral_from=0))
+        blocks = [render_block(drawing, g, whole, [stars])] if ways or r.spacing_px else []
+        for block in blocks:
+            together = block.in_crowd(drawing, stars, streaks(drawing, g))
+            assert not ways or together.sum() > 200
+        out = np.zeros((200, 200))
+        for t in tiles:
+            part = draw_stars(drawing, g, t, [stars], blocks)
+            out[t.y0 : t.y0 + t.rows, t.x0 : t.x0 + t.columns] = part
+        return out
+
+    own = {"together_from": 1, "together_e": 3e5}
+    apart, together = image([whole]), image([whole], **own)
+    strips = [Tile(0, k, 0, 50 * k, 200, 50) for k in range(4)]
+    assert np.array_equal(image(strips, **own), together)
+    noise = np.sqrt(1.0 + np.maximum(apart, 0.0) / 25.0)  # of a pixel, over that of an empty one
+    assert (np.abs(together - apart) <= 2.0 * r.budget_e * noise).all()
+    assert together.sum() == pytest.approx(apart.sum(), rel=1e-5)
+
+
 @pytest.mark.parametrize("roll_deg", [20.0, 180.0, 270.0, 340.0])
 def test_zones_around_the_centre_of_a_turn_are_uneven(roll_deg):
     """Also where all streaks end near where they began; zones of one common drift are even."""

@@ -8,7 +8,7 @@ alone, never on tiles.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,10 +55,25 @@ def draw_spectral(
     that are not finite.
     """
     spectrum = np.zeros((plan.period[0], plan.period[1] // 2 + 1), plan.complex_type)
-    for path, x, y, light in _by_piece(plan, groups, origin):
-        modes = _modes(plan, x, y, light, threads)
+    for path, *places in _by_piece(plan, groups, origin):
+        modes = _modes(plan, [places], threads)
         moving = path if path.length_px else None
         fold_modes(spectrum, plan.period[1], modes, table, moving, threads)
+    return _image(plan, spectrum, threads)
+
+
+def draw_points(
+    plan: SpectralPlan,
+    table: NDArray,
+    parts: Iterable[tuple[Array, Array, Array]],
+    origin: tuple[int, int],
+    threads: int = 1,
+) -> NDArray[np.floating]:
+    """The same of points at rest that come in parts: x, y [px] and light [e-] of some at a time."""
+    spectrum = np.zeros((plan.period[0], plan.period[1] // 2 + 1), plan.complex_type)
+    x0, y0 = origin[1] - plan.pad[1], origin[0] - plan.pad[0]
+    modes = _modes(plan, ((x - x0, y - y0, light) for x, y, light in parts), threads)
+    fold_modes(spectrum, plan.period[1], modes, table, None, threads)
     return _image(plan, spectrum, threads)
 
 
@@ -91,17 +106,19 @@ def _inside(plan: SpectralPlan, x: Array, y: Array) -> NDArray[np.bool_]:
 
 
 def _modes(
-    plan: SpectralPlan, x: Array, y: Array, light: Array, threads: int
+    plan: SpectralPlan, parts: Iterable[Sequence[Array]], threads: int
 ) -> NDArray[np.complexfloating]:
-    """Transform of the sources: row k mod points_y, column l is frequency (k, l) / period.
+    """Transform of sources: row k mod points_y, column l is frequency (k, l) / period.
 
+    parts : x, y [px of the period] and light of some at a time
     Grid and modes share their memory: rows of the grid become rows of half a spectrum.
     """
     ny, nx = plan.points
     modes = np.zeros((ny, nx // 2 + 1), plan.complex_type)
     grid = modes.view(plan.real_type)
-    y_cells, x_cells = y * (ny / plan.period[0]), x * (nx / plan.period[1])
-    spread_onto(grid, nx, plan.kernel, y_cells, x_cells, light, threads)
+    for x, y, light in parts:
+        y_cells, x_cells = y * (ny / plan.period[0]), x * (nx / plan.period[1])
+        spread_onto(grid, nx, plan.kernel, y_cells, x_cells, light, threads)
     rows, columns = strips(ny, STRIP), strips(plan.keep[1] + 1, STRIP)
 
     def along(k: int) -> None:

@@ -111,12 +111,14 @@ class SpectralPlan:
         )
 
 
-def brightest_for(plan: SpectralPlan, budget_e: float) -> float:
+def brightest_for(plan: SpectralPlan, budget_e: float, near: float = 1.0) -> float:
     """Light of the brightest source that the plan draws to `budget_e` in every pixel [e-].
 
+    near : part of its light that is as near to a pixel as the core reaches; what the rest errs by
+        has faded there, but for the rounding
     Brighter ones belong to the stamps engine.
     """
-    return budget_e / plan.error
+    return budget_e / (near * (plan.spread_error + plan.cut_error) + plan.rounding)
 
 
 def plan_spectral(

@@ -56,6 +56,47 @@ def in_fewer_points(path: Path, band: float) -> Path:
     return Path(np.repeat(x, 2), np.repeat(y, 2), weight)
 
 
+def points_of_many(offsets: Array, band: float) -> tuple[Array, Array]:
+    """Places (2, n, P) along the paths of sources that shine evenly, and their shares (P,).
+
+    offsets : (2, n, K) places at equal times [px], between which paths are cubic (`bend_px`)
+    band : as of `points_along`, for the fastest of them
+    """
+    steps = offsets.shape[2] - 1
+    fastest = float(np.hypot(*np.diff(offsets, axis=2)).max(initial=0.0)) * steps
+    line = Path(np.array([0.0, max(fastest, 1e-9)]), np.zeros(2), np.ones(1))
+    way, _, share = points_along(line, band)
+    at = way / line.x_px[1] * steps
+    first = np.clip(np.floor(at).astype(np.int64) - 1, 0, steps - 3)
+    return _cubic(offsets, first, at - first), share
+
+
+def bend_px(offsets: Array) -> float:
+    """How far paths (..., K) through places at equal times may be from the cubic between them: by
+    1/24 of their fourth differences, where all four nodes are on one side."""
+    return float(np.abs(np.diff(offsets, 4, axis=-1)).max(initial=0.0)) / 24.0
+
+
+@njit(cache=True, nogil=True)
+def _cubic(offsets, first, t):
+    """Values (2, n, P) of paths t steps after their nodes `first` (P,), by the cubic through four
+    nodes from there."""
+    count = offsets.shape[1]
+    out, w = np.empty((2, count, len(t))), np.empty((4, len(t)))
+    for p in range(len(t)):
+        a, b, c, d = t[p], t[p] - 1.0, t[p] - 2.0, t[p] - 3.0
+        w[0, p], w[1, p] = -b * c * d / 6.0, 0.5 * a * c * d
+        w[2, p], w[3, p] = -0.5 * a * b * d, a * b * c / 6.0
+    for axis in range(2):
+        for i in range(count):
+            path, to = offsets[axis, i], out[axis, i]
+            for p in range(len(t)):
+                k = first[p]
+                to[p] = w[0, p] * path[k] + w[1, p] * path[k + 1]
+                to[p] += w[2, p] * path[k + 2] + w[3, p] * path[k + 3]
+    return out
+
+
 @njit(cache=True, nogil=True)
 def _on_runs(x, y, weight, band, off, served_rad, t, w):
     """Points (3, n) on runs of lit segments, x, y and light, in the order of the path."""

@@ -14,6 +14,7 @@ from pipeline.plan.decision import Decision
 from pipeline.plan.facts import planned_floor_e
 from pipeline.plan.pointing.geometry import bend_px
 from pipeline.plan.response.responses import (
+    CoreClass,
     ResponsePlan,
     core_end_e,
     cut_share,
@@ -151,19 +152,29 @@ def _streaks(basis: PlanBasis) -> list[Decision]:
             )
         reason += ". The bound grows with a pixel's noise"
     out = [Decision("common_streak", True, reason, bound, bound / sigma_e)]
-    if r.spectral_from:
-        out.append(
-            Decision(
-                "crowds_by_transforms",
-                True,
-                f"where {r.spectral_from} stars or more light a block of {BLOCK_PX} px, those of "
-                "the first class are drawn together by a non-uniform FFT; a pixel errs by at most "
-                "the bound for each star near it, and brighter stars are stamps",
-                r.budget_e,
-                r.budget_e / sigma_e,
-            )
-        )
+    chosen = basis.engines.responses if basis.engines else r
+    own = [core for core in chosen.classes if core.together_from]
+    if r.spectral_from or own:
+        errs = r.budget_e, r.budget_e / sigma_e
+        out.append(Decision("crowds_by_transforms", True, _crowds_said(r, own), *errs))
     return out
+
+
+def _crowds_said(r: ResponsePlan, own: list[CoreClass]) -> str:
+    """Which stars are drawn together; own : the classes of those that are along their own paths."""
+    alike = (
+        f"where {r.spectral_from} stars or more light a block of {BLOCK_PX} px, those of the first "
+        "class are drawn together by a non-uniform FFT"
+    )
+    apart = "; ".join(
+        f"where {core.together_from} stars or more with cores of {core.radius_px:.0f} px light a "
+        f"block of {BLOCK_PX} px, they are points along their own paths, drawn together by a "
+        "non-uniform FFT"
+        for core in own
+    )
+    said = [alike] * (r.spectral_from > 0) + [apart] * bool(own)
+    errs = "a pixel errs by at most the bound for each star near it, and brighter stars are stamps"
+    return "; ".join([*said, errs])
 
 
 def _far_light(basis: PlanBasis) -> Iterator[Decision]:

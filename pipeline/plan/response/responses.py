@@ -67,6 +67,7 @@ HARDLY = 0.5  # of the middle's streak: stars that move less are at rest
 STAMP_S, STAMP_S_PER_PIXEL = 1e-7, 1.6e-9
 PRODUCT_S, PRODUCT_S_PER_PIXEL = 5e-8, 6e-10
 SPECTRAL_S, SPECTRAL_S_PER_PIXEL = 1.5e-7, 5.5e-8
+FINEST_ERROR = 1e-5  # of the peak of a source, in any pixel: what transforms are asked for
 TRANSFORM_S_PER_SAMPLE = 4e-8
 
 
@@ -81,6 +82,8 @@ class CoreClass:
     fine_phases : those of tables of bright streaks in more pieces; 0: as those that are brighter
     point_phases : those of the table at rest by which bright streaks are drawn, as points along
         their own path, point_error : what it errs by per electron; 0 sweeps each by itself
+    together_from : its stars around a block from which they are drawn together, as points along
+        their own paths, by transforms that serve so much light (`together_e`); 0 never
     """
 
     radius_px: float
@@ -92,6 +95,8 @@ class CoreClass:
     fine_phases: int = 0
     point_phases: int = 0
     point_error: float = 0.0
+    together_from: int = 0
+    together_e: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -135,6 +140,18 @@ class ResponsePlan:
     def band(self) -> float:
         """Highest frequency of any core [cycles/px]."""
         return max(map(band_of, self.blurs))
+
+    @property
+    def crowds_from(self) -> tuple[int, ...]:
+        """Stars around a block from which some are drawn together, in any way; none where never."""
+        ways = self.spectral_from, *(core.together_from for core in self.classes)
+        return tuple(stars for stars in ways if stars)
+
+    @property
+    def crowd_band(self) -> float:
+        """Highest frequency that the transforms of crowds look at, on a diagonal [cycles/px]."""
+        ends = max(b.band_limit(FINEST_ERROR) for b in self.blurs)
+        return min(self.band, math.sqrt(2.0) * ends)
 
     @property
     def fades_px(self) -> float:
@@ -339,6 +356,13 @@ def _spectral_from(scene: Scene, r: ResponsePlan) -> int:
     fixed_s = SPECTRAL_S_PER_PIXEL * block * streaks.shapes
     near = _most_near(r, scene.sensor.shape, side)
     return math.ceil(fixed_s * near / min(near, 4) / (streaks.pieces * (star_s - SPECTRAL_S)))
+
+
+def crowd_s(r: ResponsePlan, pixels: float, stars: float) -> float:
+    """CPU seconds of stars that are drawn together with the streaks that they have in common."""
+    many = len(r.blurs)
+    fixed_s = SPECTRAL_S_PER_PIXEL * pixels * r.streaks.shapes * many
+    return fixed_s + SPECTRAL_S * stars * min(4, many)
 
 
 def stamp_s(r: ResponsePlan) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
+from pipeline.physics.motion.points import bend_px, points_per_px
 from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, path_through
 from pipeline.physics.positions.focal_plane import Camera, ifov_rad
 from pipeline.plan.response.own_paths import FINEST_MERGE_PX, exact_path, star_offsets
@@ -310,6 +311,21 @@ def light_from(off_px: float, plan: StreakPlan) -> float:
         return plan.budget_e / off_px
     rise = (plan.budget_e / (off_px * plan.floor_e)) ** 2
     return 0.5 * (rise + math.sqrt(rise * rise + 4.0 * rise * plan.floor_e * plan.floor_e))
+
+
+def together_e(plan: StreakPlan, paths: list[Streak]) -> float:
+    """Light up to which stars of a frame are drawn together, as points along their own paths: what
+    their paths err by between nodes is SHOWN of the budget. paths : the common ones of its zones"""
+    followed = [np.moveaxis(streak.followed, 0, -1) for streak in paths]
+    steps = [np.hypot(*np.diff(places, axis=-1)) for places in followed]
+    shortest_px = min(float(step.sum(axis=-1).min()) for step in steps) / SLACK
+    off_px = SLACK * max(map(bend_px, followed)) + plan.rounded_px
+    return light_from(off_px / SHOWN, plan) * max(1.0, shortest_px)
+
+
+def points_to(band: float, paths: list[Streak]) -> int:
+    """About how many points, for a band [cycles/px], stand for a star's own path in a frame."""
+    return math.ceil(points_per_px(band) * max(s.path.length_px for s in paths)) + 1
 
 
 def _power_of_two(n: float) -> int:

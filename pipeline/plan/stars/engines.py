@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.arrays import Geometry
 from pipeline.physics.drawing.quadrature import NEAR_PX, drawn_s
-from pipeline.physics.drawing.spectral_plan import CROWD_PX
+from pipeline.physics.drawing.spectral_plan import CROWD_PX, ROUNDING
 from pipeline.physics.motion.points import in_fewer_points, points_per_px
 from pipeline.physics.motion.streak import (
     LONGEST_PIECE_PX,
@@ -33,15 +33,25 @@ from pipeline.physics.psf.response import oversampling_for
 from pipeline.plan.pointing.star_paths import excursions_px
 from pipeline.plan.response.responses import (
     FIELD_BYTES,
+    FINEST_ERROR,
+    SPECTRAL_S,
     SPECTRAL_S_PER_PIXEL,
     STAMP_S,
     STAMP_S_PER_PIXEL,
     CoreClass,
     ResponsePlan,
+    crowd_s,
     stamp_s,
     table_bytes,
 )
-from pipeline.plan.response.streaks import POINTS, Streak, light_from, zone_streak
+from pipeline.plan.response.streaks import (
+    POINTS,
+    Streak,
+    light_from,
+    points_to,
+    together_e,
+    zone_streak,
+)
 from pipeline.plan.stars.field_stars import StarCounts
 from pipeline.plan.tiles import BLOCK_PX
 
@@ -61,7 +71,11 @@ BRIGHTEST_E = 1e12  # of a star whose own path is cut into segments
 SURE = 4.0  # times cheaper must star by star be: other frames may hold more
 FREQUENCIES = 65
 FEW_BRIGHT = 0.1  # of the cost of transforms: what the stars may cost that are too bright for them
-TOGETHER = 5.0  # standard deviations of what a crowd's errors add up to
+TOGETHER_SIGMA = 5.0  # standard deviations of what a crowd's errors add up to
+CHEAPER, FEWER = 0.5, 0.125  # of the cost of other ways, and of the stars of the fullest frame
+OWN_S, USUAL_BAND = 1e-5, 1.6  # of a star's own path; cycles/px that SPECTRAL_S_PER_PIXEL is of
+GRID_OVER, GRID_POINTS = 2.5, 1e8  # points to a band's wave, and what their memory allows
+SHARP_PEAK, EPSILON = 0.3, 2.0**-23  # of light in one pixel, hardly ever more; of float32
 
 
 @dataclass(frozen=True)
@@ -83,10 +97,14 @@ def choose_engines(plan: ResolvedScene, g: Geometry, counts: StarCounts) -> Star
     streaks, far_px = _streaks(plan, g), _farthest_px(plan, g)
     limits = [0.0, *(core.brightest_e for core in r.classes), math.inf]
     classes, said, near, stars_s = [], [], [], 0.0
+    pixels = math.prod(plan.scene.sensor.shape)
     for core, low_e in zip(r.classes, limits, strict=False):
         near.append(counts.near(core.radius_px + far_px))
         crowds = core is r.classes[0] and _in_crowds(plan, core, streaks, counts)
         chosen, words, seconds = _choose(plan, core, low_e, streaks, near[-1], crowds)
+        else_s = seconds + crowds * crowd_s(r, pixels, near[-1].between(low_e, core.brightest_e))
+        if found := _together(plan, chosen, low_e, streaks, near[-1], else_s):
+            chosen, words, seconds = found
         classes.append(chosen)
         said += words
         stars_s += seconds
@@ -131,6 +149,60 @@ def _choose(
             *said,
         ]
     return replace(made, phases=core.phases * tables), said, bright_s + usual_s
+
+
+def _together(
+    plan: ResolvedScene,
+    core: CoreClass,
+    low_e: float,
+    streaks: list[Streak],
+    counts: StarCounts,
+    else_s: float,
+) -> tuple[CoreClass, list[str], float] | None:
+    """A class whose stars above `low_e` are drawn together, as points along their own paths, where
+    that takes no more than CHEAPER of `else_s`; as of `_choose`."""
+    r, radius, shape = plan.responses, core.radius_px, plan.scene.sensor.shape
+    longest_px, band = max(streak.path.length_px for streak in streaks), r.crowd_band
+    sides = [min(n, BLOCK_PX) + 2.0 * (radius + longest_px) for n in shape]
+    if r.streaks.still or math.prod(sides) * (GRID_OVER * band) ** 2 > GRID_POINTS:
+        return None
+    near = max(light_near(streak.path, radius)[0] for streak in streaks)
+    finest = SHARP_PEAK * (near * FINEST_ERROR + ROUNDING * EPSILON)
+    most_e = min(core.brightest_e, r.budget_e / finest)
+    to_e = [max(low_e, min(most_e, together_e(r.streaks, [streak]))) for streak in streaks]
+    served = [counts.between(low_e, e) for e in to_e]
+    blocks, many = _blocks(plan), len(r.blurs)
+    fixed_s = SPECTRAL_S_PER_PIXEL * max(1.0, (band / USUAL_BAND) ** 2) * math.prod(sides)
+    each_s = OWN_S + SPECTRAL_S * points_to(band, streaks)
+    together_s = blocks * many * fixed_s + min(4, many) * each_s * sum(served) / len(served)
+    ways = [_Costs(plan, core, *one) for one in zip(streaks, to_e, strict=True)]
+    rest_s, as_points, most = _one_by_one(core, ways, to_e, counts)
+    if together_s + rest_s > CHEAPER * else_s:
+        return None
+    crowd_e = max(
+        _crowd_noise_e(plan, counts, streak, radius, e)
+        for streak, e in zip(streaks, to_e, strict=True)
+    )
+    together_from = max(1, math.ceil(FEWER * max(served) / blocks))
+    made = replace(core, together_from=together_from, together_e=max(*to_e, crowd_e))
+    said = [f"about {max(served):.0f} stars with {_named(core)} together, along their own paths"]
+    return (
+        made,
+        said + _said_of_bright(core, 0.0, most, core.point_phases * as_points),
+        together_s + rest_s,
+    )
+
+
+def _crowd_noise_e(
+    plan: ResolvedScene, counts: StarCounts, streak: Streak, radius_px: float, to_e: float
+) -> float:
+    """Light [e-] of one star that errs as much as all of at most so much light that pass a pixel,
+    as errors of many stars add up like noise."""
+    near, _ = light_near(streak.path, radius_px)
+    around_px2 = near**2 * (CROWD_PX + 2.0 * radius_px * streak.path.length_px)
+    light = counts.light_e[counts.light_e <= to_e]
+    area = math.prod(plan.scene.sensor.shape)
+    return TOGETHER_SIGMA * math.sqrt(around_px2 * counts.each * float(light @ light) / area)
 
 
 def _beyond_s(
@@ -254,7 +326,7 @@ def _crowd_e(plan: ResolvedScene, counts: StarCounts, streaks: list[Streak]) -> 
         return limit_e
     faint = light[light <= limit_e]
     area = math.prod(plan.scene.sensor.shape)
-    crowd_e = TOGETHER * math.sqrt(CROWD_PX * counts.each * float(faint @ faint) / area)
+    crowd_e = TOGETHER_SIGMA * math.sqrt(CROWD_PX * counts.each * float(faint @ faint) / area)
     return max(limit_e, crowd_e)
 
 

@@ -145,8 +145,7 @@ def switches(stage: Stage, tiles: tuple[Tile, ...], windows: Sequence[Tile]) -> 
             "common_streak", partial(_own_paths, stage, plain), on=drawn_by(plain), one_by_one=True
         )
     if _in_crowds(stage, tiles):
-        stamps = replace(plan, responses=replace(plan.responses, spectral_from=0))
-        yield from told("crowds_by_transforms", drawn_by(stamps))
+        yield from told("crowds_by_transforms", drawn_by(_apart(plan)))
     finer = drawn_by(_without_tables(_finer_wings(plan)))
     yield from told(
         "wings_on_a_coarse_grid",
@@ -168,11 +167,16 @@ def _lights(stage: Stage, windows: Sequence[Tile]) -> tuple[float, float]:
     return max(max(light, default=0.0) for light in near), max(map(sum, near))
 
 
+def _apart(plan: Plan) -> Plan:
+    """No stars drawn together."""
+    classes = tuple(replace(c, together_from=0) for c in plan.responses.classes)
+    return replace(plan, responses=replace(plan.responses, classes=classes, spectral_from=0))
+
+
 def _without_tables(plan: Plan) -> Plan:
     """Every star drawn at its exact place by its own transform."""
-    classes = tuple(
-        replace(c, phases=0, fine_phases=0, point_phases=0) for c in plan.responses.classes
-    )
+    alone = {"phases": 0, "fine_phases": 0, "point_phases": 0, "together_from": 0}
+    classes = tuple(replace(c, **alone) for c in plan.responses.classes)
     return replace(plan, responses=replace(plan.responses, classes=classes))
 
 
@@ -201,7 +205,7 @@ def _with_discs(plan: Plan) -> Plan:
 
 def _in_crowds(stage: Stage, tiles: tuple[Tile, ...]) -> bool:
     """Whether any block of the frame is drawn by transforms."""
-    if not stage.plan.responses.spectral_from:
+    if not stage.plan.responses.crowds_from:
         return False
     blocks = blocks_by(stage, stage.plan)
     return any(block.crowd_e is not None for tile in tiles for block in blocks(tile))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.special import erf, ndtr
 
 from pipeline.errors import BadInput
-from pipeline.physics.drawing.spectral import Sources, draw_spectral, transfer_table
+from pipeline.physics.drawing.spectral import Sources, draw_points, draw_spectral, transfer_table
 from pipeline.physics.drawing.spectral_band import peak_light
 from pipeline.physics.drawing.spectral_plan import (
     CROWD_PX,
@@ -213,6 +213,17 @@ def test_streaks_of_several_groups_add_up() -> None:
     groups = [one(20.0 + 9 * k, 30.3, 2.0, p)[0] for k, p in enumerate(paths)]
     apart = sum(draw(plan, core, [g]) for g in groups)
     assert np.abs(draw(plan, core, groups) - apart).max() <= 6e-7
+
+
+def test_points_that_come_in_parts_are_those_that_come_at_once() -> None:
+    core, rng = gaussian_core(0.8), np.random.default_rng(4)
+    x, y, light = *rng.uniform(-9.0, 73.0, (2, 300)), rng.uniform(1.0, 9.0, 300)
+    plan = plan_spectral((64, 48), core, POINT, 1e-6, single=False)
+    table, origin = transfer_table(core, plan), (3, -5)
+    whole = draw_spectral(plan, table, [Sources(x, y, light, POINT)], origin)
+    parts = ((x[k : k + 70], y[k : k + 70], light[k : k + 70]) for k in range(0, 300, 70))
+    assert np.abs(draw_points(plan, table, parts, origin) - whole).max() <= 1e-12 * whole.max()
+    assert not draw_points(plan, table, [], origin).any()
 
 
 def test_pixels_alias_what_they_cannot_hold() -> None:
