@@ -161,18 +161,18 @@ def _crowds(
     """The stars of a block that are drawn together, and the light up to which those of the first
     core class are with common streaks, and those of each along their own paths."""
     r, classes = plan.responses, class_of(plan, stars.light_e)
-    image: NDArray[np.floating] | None = None
-    limits = [0.0] * len(r.classes)
+    drawn, limits = list[NDArray[np.floating] | None](), [0.0] * len(r.classes)
     for k, core in enumerate(r.classes):
         mine = select(stars, classes == k)
         if 0 < core.together_from <= len(mine):
             one, limits[k] = _own_crowd(plan, g, place, core, mine, paths)
-            image = one if image is None or one is None else image + one
-    if limits and limits[0]:
-        return image, 0.0, tuple(limits)
-    one, limit = _crowd(plan, place, stars, paths)
-    both = one if image is None else image if one is None else image + one
-    return both, limit, tuple(limits)
+            drawn.append(one)
+    limit = 0.0
+    if not any(limits[:1]):
+        one, limit = _crowd(plan, place, stars, paths)
+        drawn.append(one)
+    images = [one for one in drawn if one is not None]
+    return sum(images[1:], images[0]) if images else None, limit, tuple(limits)
 
 
 def _own_crowd(

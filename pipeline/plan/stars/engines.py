@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -161,17 +161,14 @@ def _together(
 ) -> tuple[CoreClass, list[str], float] | None:
     """A class whose stars above `low_e` are drawn together, as points along their own paths, where
     that takes no more than CHEAPER of `else_s`; as of `_choose`."""
-    r, radius, shape = plan.responses, core.radius_px, plan.scene.sensor.shape
-    longest_px, band = max(streak.path.length_px for streak in streaks), r.crowd_band
-    sides = [min(n, BLOCK_PX) + 2.0 * (radius + longest_px) for n in shape]
+    r, blocks = plan.responses, _blocks(plan)
+    band, many = r.crowd_band, len(r.blurs)
+    around_px = 2.0 * (core.radius_px + max(streak.path.length_px for streak in streaks))
+    sides = [min(n, BLOCK_PX) + around_px for n in plan.scene.sensor.shape]
     if r.streaks.still or math.prod(sides) * (GRID_OVER * band) ** 2 > GRID_POINTS:
         return None
-    near = max(light_near(streak.path, radius)[0] for streak in streaks)
-    finest = SHARP_PEAK * (near * FINEST_ERROR + ROUNDING * EPSILON)
-    most_e = min(core.brightest_e, r.budget_e / finest)
-    to_e = [max(low_e, min(most_e, together_e(r.streaks, [streak]))) for streak in streaks]
+    to_e = _together_to_e(plan, core, low_e, streaks)
     served = [counts.between(low_e, e) for e in to_e]
-    blocks, many = _blocks(plan), len(r.blurs)
     fixed_s = SPECTRAL_S_PER_PIXEL * max(1.0, (band / USUAL_BAND) ** 2) * math.prod(sides)
     each_s = OWN_S + SPECTRAL_S * points_to(band, streaks)
     together_s = blocks * many * fixed_s + min(4, many) * each_s * sum(served) / len(served)
@@ -179,22 +176,27 @@ def _together(
     rest_s, as_points, most = _one_by_one(core, ways, to_e, counts)
     if together_s + rest_s > CHEAPER * else_s:
         return None
-    crowd_e = max(
-        _crowd_noise_e(plan, counts, streak, radius, e)
-        for streak, e in zip(streaks, to_e, strict=True)
-    )
     together_from = max(1, math.ceil(FEWER * max(served) / blocks))
-    made = replace(core, together_from=together_from, together_e=max(*to_e, crowd_e))
+    crowds_e = map(partial(_crowd_noise_e, plan, counts, core.radius_px), streaks, to_e)
+    made = replace(core, together_from=together_from, together_e=max(*to_e, *crowds_e))
     said = [f"about {max(served):.0f} stars with {_named(core)} together, along their own paths"]
-    return (
-        made,
-        said + _said_of_bright(core, 0.0, most, core.point_phases * as_points),
-        together_s + rest_s,
-    )
+    said += _said_of_bright(core, 0.0, most, core.point_phases * as_points)
+    return made, said, together_s + rest_s
+
+
+def _together_to_e(
+    plan: ResolvedScene, core: CoreClass, low_e: float, streaks: list[Streak]
+) -> list[float]:
+    """Light up to which stars of a class are drawn together, for each of some streaks."""
+    r = plan.responses
+    near = max(light_near(streak.path, core.radius_px)[0] for streak in streaks)
+    finest = SHARP_PEAK * (near * FINEST_ERROR + ROUNDING * EPSILON)
+    most_e = min(core.brightest_e, r.budget_e / finest)
+    return [max(low_e, min(most_e, together_e(r.streaks, [streak]))) for streak in streaks]
 
 
 def _crowd_noise_e(
-    plan: ResolvedScene, counts: StarCounts, streak: Streak, radius_px: float, to_e: float
+    plan: ResolvedScene, counts: StarCounts, radius_px: float, streak: Streak, to_e: float
 ) -> float:
     """Light [e-] of one star that errs as much as all of at most so much light that pass a pixel,
     as errors of many stars add up like noise."""
