@@ -13,7 +13,7 @@ from pipeline.plan.ledger import rule_of
 from pipeline.plan.needs import NOTHING_READ, NOTHING_SPENT, Spent, StarForecast, predict
 from pipeline.plan.optics.optics import describe
 from pipeline.plan.plan import Plan
-from pipeline.plan.response.responses import ResponsePlan
+from pipeline.plan.response.responses import CoreClass, ResponsePlan
 from pipeline.plan.tiles import tile_shape
 
 
@@ -56,7 +56,7 @@ def plan_dict(
         "response": {
             "optics": describe(r.blur.optics),
             "field": None if r.field is None else r.field.describe(),
-            "core_classes": [_finite(asdict(c)) for c in r.classes],
+            "core_classes": [_core_class(c) for c in r.classes],
             "wing_grid_px": r.spacing_px,
             "reach_px": r.reach_px,
             "light_left_out": r.lost_light,
@@ -93,6 +93,12 @@ def _engine(r: ResponsePlan) -> str:
     if r.spectral_from:
         engine += f"; transforms where {r.spectral_from} stars or more light a block"
     return engine
+
+
+def _core_class(core: CoreClass) -> JsonObject:
+    """A core class; of how its stars are drawn together only where they are."""
+    together = {} if core.together_from else {"together_from": 0, "together_e": 0.0}
+    return {k: v for k, v in _finite(asdict(core)).items() if k not in together}
 
 
 def _rule(decision: Decision) -> JsonObject:
