@@ -44,7 +44,7 @@ from pipeline.plan.tiles import BLOCK_PX, Tile, cut_up, distance_px
 
 Spectrum = NDArray[np.complex128]
 
-POINTS_AT_ONCE = 2**20  # of stars along their own paths, that are spread together
+POINTS_AT_ONCE = 2**18  # of stars along their own paths, that are spread together
 MOST_POINTS = 65_536  # of a body along its path, that are spread one by one
 _POINT = np.zeros(1), np.zeros(1), np.ones(1)  # y, x and share of the light of a body
 
@@ -212,7 +212,7 @@ def _along_own(
     """x, y [px] and light [e-] of stars as about so many points each, of some stars at a time:
     their part in one response, for waves up to a band [cycles/px]."""
     aberration = plan.scene.star_effects["aberration"]
-    at_once = max(1, POINTS_AT_ONCE // points)
+    at_once = max(1, POINTS_AT_ONCE // max(points, g.nodes))
     for first in range(0, len(stars), at_once):
         some = slice(first, first + at_once)
         x, y, light = (v[some, None] for v in (stars.x_px, stars.y_px, stars.light_e))
