@@ -88,18 +88,23 @@ def test_a_field_outside_is_refused_unless_accepted(cone, tmp_path):
     assert json.loads(metadata[b"nightglass:coverage"]) == report["coverage"]
 
 
-def test_of_several_frames_the_worst_is_named(cone):
-    """A rate of 0.5 deg a frame carries the field out of the cone: the last one is not covered."""
+@pytest.mark.parametrize(("frames", "worst"), [(5, 4), (41, 35)])
+def test_of_several_frames_the_worst_is_named(cone, frames, worst):
+    """A rate of 180 arcsec/s carries the field out of the cone: the last ones are not covered.
+
+    By its own number, also where every fifth frame is looked at.
+    """
     data = copy.deepcopy(SCENE)
     data["stars"] = {"catalogue": cone}
     data["pointing"] = {
         "mode": "rate", "boresight_ra_deg": 99.5, "boresight_dec_deg": 0.0,
         "rate_ra_arcsec_s": 180.0, "rate_dec_arcsec_s": 0.0,
     }  # fmt: skip
-    data["exposure"] = {"integration_s": 0.1, "frames": 5, "cadence_s": 10.0}
+    cadence_s = 40.0 / (frames - 1)
+    data["exposure"] = {"integration_s": 0.1, "frames": frames, "cadence_s": cadence_s}
     data["accept"] = ["coverage"]
     plan = plan_scene(parse_scene(data))
-    assert plan["coverage"]["worst_frame"] == 4
+    assert plan["coverage"]["worst_frame"] == worst
     assert plan["coverage"]["worst_frame_fraction"] == 0.0
     assert 0.5 < plan["coverage"]["mean_fraction"] < 0.85
 
