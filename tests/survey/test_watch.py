@@ -246,6 +246,19 @@ def test_how_much_the_way_that_streaks_lie_changes_is_told(sigma_px: float) -> N
     assert make_watcher(asked, FieldOfRegard(), EPOCH, True).direction_notes == []
 
 
+@pytest.mark.usefixtures("coarse_signal")
+def test_cameras_that_differ_in_photon_noise_alone_have_each_their_own_signal() -> None:
+    """Without sky and dark an empty pixel of both is as noisy; the light's own noise is not."""
+    light = np.array([1e3, 1e5, 1e7])[:, None]
+    got, floor = light * share_in_pixels(0.9, 0.0, 0.0).ravel(), 5.0**2 + 1.0 / 12.0
+    for photon_noise in (True, False):
+        asked = sections(sensor=CAMERA | {"photon_noise": photon_noise}, background=None)
+        w = make_watcher(asked, FieldOfRegard(), EPOCH, True)
+        noise = floor + got if photon_noise else np.full_like(got, floor)
+        snr = np.sqrt(np.sum(got**2 / noise, axis=-1))
+        np.testing.assert_allclose(w.signal.snr(light[:, 0], np.zeros(3)), snr, rtol=0.03)
+
+
 @pytest.mark.parametrize("epoch", ["2019-05-24T22:20:00Z", "2019-05-25T08:20:00Z"])
 def test_the_sun_at_the_zenith_of_the_epoch_is_no_matter(epoch: str) -> None:
     """Zodiacal light is told where a sensor looks: near the Sun it need not be known."""
