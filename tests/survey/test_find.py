@@ -68,6 +68,19 @@ def test_against_brute_force(objects: Elements, tracks: bool) -> None:
     assert any(first <= k < first // 6 * 6 + 6 for _, k in same_as_every_moment(w, at, objects))
 
 
+@pytest.mark.usefixtures("coarse_signal")
+def test_what_the_air_lifts_above_the_least_elevation_against_brute_force() -> None:
+    """High objects, which rise and set slowly: some are seen only as the air bends their light."""
+    w = watcher(True, refraction=True, lowest_elevation_deg=3.0)
+    far = synthetic_elements(Synthetic(objects=600, seed=5, smallest_m=3.0), EPOCH)
+    far, at = far.take(far.mean_altitude_km > 1e4), 20.0 * np.arange(600)
+    same_as_every_moment(w, at, far)
+    search = make_search(w, at, 5.0)
+    s, _ = search.of(far)
+    sine = np.sum(s.geometric * search.watch.up[s.moment], axis=-1)
+    assert (sine < np.sin(np.radians(3.0))).sum() > 10
+
+
 def test_from_an_orbit_against_brute_force() -> None:
     """There the horizon turns by 4 degrees in a step of the screen, and lifts what hardly moves."""
     orbit = {"kind": "keplerian", "semi_major_axis_m": 7e6, "eccentricity": 0.0,
