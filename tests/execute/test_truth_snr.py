@@ -102,6 +102,22 @@ def test_snr_is_that_of_each_stars_own_streak() -> None:
         assert snr == pytest.approx(wanted, rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("x_px", "y_px", "in_view"),
+    [(-0.4, 20.0, True), (63.4, 20.0, True), (-0.6, 20.0, False), (63.6, 20.0, False),
+     (20.0, -0.4, True), (20.0, 63.4, True), (20.0, -0.6, False), (20.0, 63.6, False)],
+)  # fmt: skip
+def test_a_target_is_in_view_up_to_the_outer_edges_of_the_pixels(
+    monkeypatch: pytest.MonkeyPatch, x_px: float, y_px: float, in_view: bool
+) -> None:
+    """Of a frame of 64 x 64 px."""
+    plan = prepare(scene()).plan
+    g = plan_geometry(plan.scene, np.array([0]), plan.dut1_s)
+    moved = [replace(t, x_px=x_px, y_px=y_px) for t in place_targets(plan, g)]
+    monkeypatch.setattr("pipeline.execute.outlook.place_targets", lambda *_: moved)
+    assert (target_snr(plan, g, ("ball",))["ball"] > 0.0) == in_view
+
+
 DWELLS = [{"integration_s": 1.0}, {"integration_s": 4.0, "start_s": 10.0}]
 
 
