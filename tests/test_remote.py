@@ -167,6 +167,7 @@ def test_a_product_cut_off_while_it_is_sealed_is_not_whole(bucket, seal, monkeyp
         with pytest.raises(KeyboardInterrupt):
             render(scene, url, HERE)
     assert Objects(url).get("_COMPLETE") is None
+    assert (Objects(url).get("cube.zarr/zarr.json") is not None) == (seal == "_COMPLETE")
     assert not check(url).complete
     assert render(scene, url, replace(HERE, resume=True))["tiles_resumed"] == 4
     assert check(url).whole
