@@ -45,6 +45,17 @@ def queue(store: Queue, key: str | None = None, body: str = "b", limit: int = 10
     return answer[0]
 
 
+def test_jobs_that_are_deleted_are_not_counted(store: Queue) -> None:
+    """Neither one that waited nor one that runs until the dispatcher has stopped it."""
+    first, second, third = (queue(store) for _ in range(3))
+    assert store.claim() is not None
+    for gone in (first, second):
+        store.delete(gone.id)
+    assert store.get(third.id).phase == Phase.QUEUED
+    assert {phase for phase, count in store.counts().items() if count} == {Phase.QUEUED}
+    assert store.counts()[Phase.QUEUED] == 1
+
+
 def test_a_job_outlives_its_store(tmp_path: Path) -> None:
     store = Queue(tmp_path / "jobs.sqlite")
     job = queue(store, key="k")
