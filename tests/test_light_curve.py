@@ -23,6 +23,7 @@ from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.resolve.files import read_files
 from pipeline.spec.load import parse_scene
 from tests.command import nightglass
+from tests.physics.positions.test_orbit_skyfield import tle, with_checksum
 
 ROOT = Path(__file__).parents[1]
 BAND = box(400e-9, 900e-9)
@@ -164,6 +165,24 @@ def test_many_together_are_each_as_alone(tmp_path: Path, monkeypatch: pytest.Mon
         for column in ("irradiance_e_s_m2", "range_m"):
             found = read[column].to_numpy()[own]
             np.testing.assert_allclose(found, getattr(alone, column), rtol=1e-13)
+
+
+def test_of_several_sets_the_one_nearest_to_the_times_of_the_curve_counts(tmp_path: Path) -> None:
+    """Not to the scene's epoch: one is of 91 days before that, the other of 30 after it."""
+    old = tle(7, 51.6, 10.0, 0.001, 20.0, 30.0, 15.2)
+    new = with_checksum(old[0].replace("19110.", "19231.")), tle(7, 51.6, 20.0, 0.0, 0, 0, 15.0)[1]
+    ranges = {}
+    for name, sets in (("both", (new, old)), ("old", (old,)), ("new", (new,))):
+        (tmp_path / name).write_text("\n".join(line for lines in sets for line in lines) + "\n")
+        crowd = {"name": "crowd", "path": str(tmp_path / name),
+                 "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.2}}  # fmt: skip
+        scene = parse_scene(SCENE | {"populations": [crowd]})
+        for day in (-90, 0, 30):
+            curve = light_curve(scene, "crowd-7", BAND, 86400.0 * day, 86400.0 * day + 60.0, 2)
+            ranges[name, day] = curve.range_m.tolist()
+    for day, nearest in ((-90, "old"), (0, "new"), (30, "new")):
+        assert ranges["both", day] == ranges[nearest, day]
+    assert ranges["old", -90] != ranges["new", -90]
 
 
 def test_curves_come_as_they_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
