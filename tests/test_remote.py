@@ -10,6 +10,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -208,6 +209,23 @@ def test_an_interrupted_product_is_not_whole_and_goes_on(bucket, local):
     objects.put(".begun.json", begun)
     remove_remote(objects)
     assert all(name.startswith(".lock") for name in objects.names())
+
+
+def test_of_an_old_product_the_seal_is_removed_first_and_the_record_last():
+    """What is left of it when that is cut off looks unfinished, and can still be replaced."""
+    from pipeline.store.remote import remove_remote
+
+    seals = {"_COMPLETE", "cube.zarr/zarr.json"}
+    names = {".begun.json", "scene.yaml", "cube.zarr/dn/c/0/0/0", "truth/stars.parquet", *seals}
+    gone: list[set[str]] = []
+    store = SimpleNamespace(
+        url="s3://a/b", names=lambda: dict.fromkeys([*sorted(names), ".lock/000000000001"]),
+        delete=lambda some: gone.append(set(some)),
+    )  # fmt: skip
+    remove_remote(store)
+    assert gone[0] == seals
+    assert gone[-1] == {".begun.json"}
+    assert sorted(name for some in gone for name in some) == sorted(names)
 
 
 def test_one_writer_at_a_time(bucket, monkeypatch):
