@@ -267,6 +267,23 @@ def test_the_brightest_source_is_that_of_the_longest_exposure(scene: Make) -> No
     assert found[1][0] == pytest.approx(1e10 * 10.0**-2.0 * area_m2 * 4.0, rel=1e-9)
 
 
+def test_the_brightest_target_is_looked_for_as_far_as_its_wings_may_be_drawn(scene: Make) -> None:
+    """To 4,096 px beside the frame of 768 columns."""
+    seen = {"observer": {"kind": "orbit", "orbit": {
+        "kind": "state", "position_m": [4.2e7, 0, 0], "velocity_m_s": [0, 3070, 0]}},
+        "targets": [{"name": "t", "eclipse": False, "orbit": {
+            "kind": "state", "position_m": [4.2e7, 3e5, 1e5], "velocity_m_s": [0, 3070, 0]},
+            "body": {"kind": "sphere", "diameter_m": 1.0, "albedo": 0.3}}],
+        "pointing": {"mode": "target", "target": "t"}}  # fmt: skip
+    s = scene(LIT | seen)
+    g = plan_geometry(s, sampled_frames(s), 0.0)
+    inside = brightest_target_e(s, g, 1e20)
+    assert inside > 0.0
+    for off_px, found in ((4000.0, inside), (-4000.0, inside), (5000.0, 0.0), (-5000.0, 0.0)):
+        beside = replace(g, target_x_px=g.target_x_px + off_px)
+        assert brightest_target_e(s, beside, 1e20) == found
+
+
 def test_stars_move_as_far_as_in_the_fastest_dwell(scene: Make, tmp_path: Path) -> None:
     """Beside a dwell that stands still as alone."""
     (tmp_path / "stars.csv").write_text("source_id,ra,dec,phot_g_mean_mag\n1,40.0,25.0,12.0\n")
