@@ -424,6 +424,21 @@ def test_old_elements_of_a_sensor_without_targets_are_told_alone() -> None:
     )
 
 
+def test_old_elements_of_a_sensor_are_told_as_the_nearest_target_shows_them() -> None:
+    orbit = {k: v if k == "kind" else checksum(v) for k, v in TLE.items()}
+    held = {"mode": "sidereal", "boresight_ra_deg": 0.0, "boresight_dec_deg": -90.0}
+    both = [
+        target(state([0.0, 0.0, -far], [1500.0, 0.0, 0.0]), name=name)
+        for name, far in (("u", 9e7), ("t", 5e7))
+    ]
+    asked = {"observer": {"kind": "orbit", "orbit": orbit}, "pointing": held}
+    plan = planned(both, **asked, epoch="2019-04-17T12:00:00Z")
+    (told,) = [r for r in plan.remarks if r.startswith("the observer: elements of 7 days")]
+    ranges = plan_geometry(plan.scene, np.arange(3), plan.dut1_s).target_range_m.min(axis=(1, 2))
+    assert ranges[1] < 0.7 * ranges[0]
+    assert told.endswith(f" px at {ranges[1]:.3g} m")
+
+
 @pytest.mark.parametrize(
     ("place_m", "speed_m_s", "days"), [(7e6, 12e3, 30.0), (5e8, 892.0, 42.0)],
     ids=["it escapes", "so far out that it drifts by less than a kilometre"],
