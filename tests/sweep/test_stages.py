@@ -67,7 +67,7 @@ def test_rows_of_a_shard_are_shared_by_all_that_they_follow_from() -> None:
 def test_a_kept_block_counts_all_of_its_images() -> None:
     """Of wings and of a crowd, which has every pixel of its 2048."""
     wings, crowd = np.zeros((40, 50)), np.zeros((300, 200), np.float32)
-    block = LightBlock(Tile(0, 0, 0, 0, 300, 200), None, wings, 2.0 * wings, crowd, 0.0, 0.0)
+    block = LightBlock(Tile(0, 0, 0, 0, 300, 200), None, wings, 2.0 * wings, crowd, 0.0, (), 0.0)
     assert 0 <= _block_bytes(block) - (2 * wings.nbytes + crowd.nbytes) <= 2000
     bare = replace(block, star_wings=None, target_wings=None, crowd_e=None)
     assert 0 < _block_bytes(bare) <= 2000

@@ -163,8 +163,7 @@ def _together(
     that takes no more than CHEAPER of `else_s`; as of `_choose`."""
     r, blocks = plan.responses, _blocks(plan)
     band, many = r.crowd_band, len(r.blurs)
-    around_px = 2.0 * (core.radius_px + max(streak.path.length_px for streak in streaks))
-    sides = [min(n, BLOCK_PX) + around_px for n in plan.scene.sensor.shape]
+    sides = [min(n, BLOCK_PX) + 2.0 * core.radius_px for n in plan.scene.sensor.shape]
     if r.streaks.still or math.prod(sides) * (GRID_OVER * band) ** 2 > GRID_POINTS:
         return None
     to_e = _together_to_e(plan, core, low_e, streaks)

@@ -36,7 +36,7 @@ from pipeline.plan.response.sources import (
     stars_known,
     targets_known,
 )
-from pipeline.plan.response.streaks import POINTS, SHOWN, SLACK, StreakPlan, _light_from
+from pipeline.plan.response.streaks import POINTS, SHOWN, SLACK, StreakPlan, light_from
 from pipeline.resolve.resolve import resolve
 from pipeline.route.prepare import prepare
 from pipeline.route.run import render
@@ -53,7 +53,7 @@ def streaks(off_px: float = 1e-3, longest_px: float = 30.0, **more: Any) -> Stre
         1, 1, off_px, longest_px, 1, 0.0, 0.0, floor_e=FLOOR_E, budget_e=BUDGET_E,
         shortest_px=longest_px, **more,
     )  # fmt: skip
-    return replace(plan, own_from_e_px=_light_from(off_px, plan))
+    return replace(plan, own_from_e_px=light_from(off_px, plan))
 
 
 def responses(**more: Any) -> ResponsePlan:

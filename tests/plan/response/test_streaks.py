@@ -27,9 +27,9 @@ from pipeline.plan.response.streaks import (
     SPREAD_TOLERANCE_PX,
     Streak,
     StreakPlan,
-    _light_from,
     centroid,
     exact_path,
+    light_from,
     merged_px,
     plan_streaks,
     resting,
@@ -217,7 +217,7 @@ def test_a_star_off_its_path_errs_by_no_more_than_told(light_e: float, photons: 
         1, 1, off_px, 1.0, 1, 0.0, 0.0,
         floor_e=floor_e, budget_e=asked * floor_e, photons=photons,
     )  # fmt: skip
-    plan = replace(plan, own_from_e_px=_light_from(off_px, plan))
+    plan = replace(plan, own_from_e_px=light_from(off_px, plan))
     told = plan.error_e(light_e)
     assert told <= plan.budget_e
     if light_e >= plan.own_from_e_px:
