@@ -44,7 +44,7 @@ from pipeline.plan.sensor.detector import (
     typical_read_noise_e,
 )
 from pipeline.plan.sensor.rolling import check_rolling
-from pipeline.plan.sky.doubts import sky_doubts
+from pipeline.plan.sky.doubts import lacks_night, sky_doubts
 from pipeline.plan.stars.brightest import brightest_target_e
 from pipeline.plan.stars.field_stars import FieldStars
 from pipeline.plan.stars.field_streaks import field_streak_warnings
@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from pipeline.physics.cosmic_rays.frame import CosmicRays
     from pipeline.physics.sky.extinction import BandExtinction
     from pipeline.plan.sky.sky import SkyPlan
+    from pipeline.plan.sky.undrawn import UndrawnNight
 
 MANY_FULL = 0.05  # of the pixels, though a typical one is not full: an output of its own
 MANY_CUT = 0.05  # of the pixels without a source, that would read below 0
@@ -131,8 +132,9 @@ def resolve(asked: Scene) -> Resolved:
         quiet_terms(scene, maps),
         converter_top_e(scene, maps),
     )
-    doubts = sky_doubts(scene, facts, band[0], dut1_s)
     extinction = _extinction(scene, band[0])
+    night = _undrawn_night(scene, band[0], extinction, dut1_s)
+    doubts = sky_doubts(scene, facts, band[0], dut1_s, night)
     scene, facts, sky = _sky(scene, band, catalogues, light.colour, facts, g, dut1_s, extinction)
     scene, g = _populated(scene, facts, g, dut1_s)
     coverage, warnings, remarks = _judge_catalogues(scene, catalogues, g, light.colour)
@@ -280,6 +282,18 @@ def _extinction(scene: Scene, response: ResponseCurve) -> BandExtinction | None:
     from pipeline.inputs.sky.air import gather_extinction
 
     return gather_extinction(scene, response)
+
+
+def _undrawn_night(
+    scene: Scene, response: ResponseCurve, extinction: BandExtinction | None, dut1_s: float
+) -> UndrawnNight | None:
+    """Moonlight and twilight that a site's scene does not draw; nothing is read for others."""
+    if not lacks_night(scene):
+        return None
+    from pipeline.inputs.sky.night import gather_undrawn
+    from pipeline.plan.sky.undrawn import UndrawnNight
+
+    return UndrawnNight(scene, gather_undrawn(scene, response, extinction), dut1_s)
 
 
 def _sky(

@@ -7,7 +7,9 @@ import numpy as np
 from pipeline.errors import BadInput
 from pipeline.inputs.band.curves import solar_spectrum
 from pipeline.inputs.reference import airglow as published
+from pipeline.inputs.sky.air import gather_extinction
 from pipeline.physics.radiometry import ResponseCurve
+from pipeline.physics.sky.extinction import BandExtinction
 from pipeline.physics.sky.moon import spectrum
 from pipeline.physics.sky.night import (
     NightBand,
@@ -16,6 +18,9 @@ from pipeline.physics.sky.night import (
     pieces_of,
     solar_activity,
 )
+from pipeline.plan.sky.inputs import SkyInputs
+from pipeline.spec.scene import Scene
+from pipeline.spec.sky.atmosphere import Atmosphere, Extinction
 from pipeline.spec.sky.background import Airglow, Background
 
 
@@ -38,3 +43,18 @@ def gather_night(request: Background, response: ResponseCurve) -> NightBand:
         table = edges * 1e-9, np.array(published.ZENITH), response
         glow, gathered = airglow_pieces(*table, activity), gathered_lines(*table)
     return NightBand(glow, sun, moon, gathered)
+
+
+def gather_undrawn(
+    scene: Scene, response: ResponseCurve, extinction: BandExtinction | None
+) -> SkyInputs:
+    """What moonlight and twilight in a band follow from, above a site that need not ask for any.
+
+    extinction : of its air; where the scene has none, that of a standard atmosphere scatters
+    """
+    band = gather_night(Background(starlight="none"), response)
+    if extinction is None:
+        air = Atmosphere(extinction=Extinction())
+        observer = scene.observer.model_copy(update={"atmosphere": air})
+        extinction = gather_extinction(scene.model_copy(update={"observer": observer}), response)
+    return SkyInputs(extinction=extinction, night=band)

@@ -133,17 +133,6 @@ def _scatter(apart_rad: Array) -> Array:
     return np.asarray(10.0**5.36 * (1.06 + np.cos(apart_rad) ** 2) + mie)
 
 
-def moonlight_zenith_v_mag(moon_elevation_rad: float, irradiance_share: float) -> float:
-    """V magnitudes per square arcsecond of moonlight at the zenith, the Moon above the horizon.
-
-    The same formula, with USUAL_V_MAG of extinction; irradiance_share as in `moonlight`.
-    """
-    passed = 10.0 ** (-0.4 * USUAL_V_MAG * float(air_mass(np.sin(moon_elevation_rad))))
-    light = float(_scatter(np.asarray(0.5 * np.pi - moon_elevation_rad)))
-    light *= FOOT_CANDLE * irradiance_share * passed * (1.0 - 10.0 ** (-0.4 * USUAL_V_MAG))
-    return float((20.7233 - np.log(light / 34.08)) / 0.92104)
-
-
 def twilight(
     band: NightBand, extinction: BandExtinction, sine: Array, sun_sine: float, apart_rad: Array
 ) -> Array:

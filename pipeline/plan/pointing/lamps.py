@@ -68,8 +68,9 @@ class LampGeometry:
     """Sun, Moon, Earth and planets at n moments of the exposures, in order.
 
     tick : (n,) number of the moment: TICKS of each frame; earth : its disc, or all below a site's
-    horizon; planets : by name, with V (n,) at full phase; to_moon_m, moon_to_sun_m : (n, 3) from
-    the observer, and from there;
+    horizon; planets : by name, with V (n,) at full phase
+    place_m, sun_m, moon_m : (n, 3) of the observer and of both bodies, from the Earth's centre
+    boresight : (n, 3) before the air lifts it
     turn : (n - 1,) angle [rad] by which what is looked at turns from each moment to the next:
     camera, horizon and bodies together
     """
@@ -79,17 +80,11 @@ class LampGeometry:
     moon: Lamp
     earth: Lamp
     planets: dict[str, tuple[Lamp, Array]]
-    to_moon_m: Array
-    moon_to_sun_m: Array
+    place_m: Array
+    sun_m: Array
+    moon_m: Array
+    boresight: Array
     turn: Array
-
-    def moon_fraction(self, k: int) -> float:
-        """Irradiance of the Moon at moment k over the Sun's at 1 au, in V, without eclipses."""
-        from pipeline.physics.sky.moon import irradiance_share  # where moonlight is looked at
-
-        to_moon, on = self.to_moon_m[[k]], self.moon_to_sun_m[[k]]
-        far, from_sun = (np.sqrt(np.sum(v**2, axis=-1)) for v in (to_moon, on))
-        return float(irradiance_share(separation(-to_moon, on), from_sun, far)[0])
 
     def frame(self, k: int) -> int:
         """Frame of moment k."""
@@ -117,6 +112,11 @@ def look(
             within = ticks[:-1] // TICKS == ticks[1:] // TICKS
             return found, not (split | (doubtful & within)).any()
         ticks = np.union1d(ticks, ((ticks[:-1] + ticks[1:]) // 2)[split])
+
+
+def look_through(scene: Scene, dut1_s: float, frame: int) -> LampGeometry:
+    """Sun and Moon at all TICKS moments of one exposure, at even steps."""
+    return _look(scene, dut1_s, frame * TICKS + np.arange(TICKS))
 
 
 def _first(scene: Scene, dut1_s: float) -> Ticks:
@@ -151,7 +151,8 @@ def _look(scene: Scene, dut1_s: float, ticks: Ticks) -> LampGeometry:
     turned = [separation(v[:-1], v[1:]) for v in (*np.moveaxis(attitude, 1, 0), at.observer_m)]
     bodies = np.maximum(*(separation(v[:-1], v[1:]) for v in (sun, moon)))
     planets = {n: _planet(scene, camera, attitude, at, n, sun) for n in PLANETS}
-    return LampGeometry(ticks, *lamps, planets, moon, sun - moon, np.max(turned, axis=0) + bodies)
+    places = at.observer_m, sun + at.observer_m, moon + at.observer_m, attitude[:, 2]
+    return LampGeometry(ticks, *lamps, planets, *places, np.max(turned, axis=0) + bodies)
 
 
 def bodies_m(at: Moments) -> tuple[Array, Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -18,10 +18,13 @@ from pipeline.spec.pointing.observer import GroundObserver
 from pipeline.spec.scene import Scene
 from pipeline.spec.sky.background import Background
 
+if TYPE_CHECKING:
+    from pipeline.plan.sky.undrawn import UndrawnNight
+
 Array = np.ndarray
 
 # Elevations of the Sun at a site: the night sky's parts are those of a dark night. At -12 degrees
-# twilight is V = 19.7 at the zenith, 7 times a dark sky; from -18 on it is below 0.03 of one.
+# twilight is V = 19.7 at the zenith, 7 times a dark sky; from -18 on it is below 0.03 of one there.
 HIGHEST_WITH_TWILIGHT_RAD = 0.0  # where the formula of twilight ends
 HIGHEST_OF_NIGHT_RAD = -12.0 * DEG_RAD
 DARK_RAD = -18.0 * DEG_RAD
@@ -75,16 +78,27 @@ def accepted_skies(scene: Scene, dut1_s: float) -> Skies:
     return Skies(seen, nearest, sure, tuple(daylight), tuple(bodies))
 
 
-def sky_doubts(scene: Scene, facts: Facts, response: ResponseCurve, dut1_s: float) -> Doubts:
+def sky_doubts(
+    scene: Scene,
+    facts: Facts,
+    response: ResponseCurve,
+    dut1_s: float,
+    night: UndrawnNight | None = None,
+) -> Doubts:
     """Refuse skies that would be wrong in silence (`accepted_skies`); say what the scene accepts
-    of them, and what is not drawn."""
+    of them, and what is not drawn.
+
+    night : what a site's sky lacks, where it `lacks_night`
+    """
     skies = accepted_skies(scene, dut1_s)
     seen, nearest, sure = skies.seen, skies.nearest, skies.sure
     warnings = list(skies.daylight)
     remarks: list[str] = []
     if isinstance(scene.observer, GroundObserver):
-        told, remarks = _sunlight(scene, facts, response, seen, nearest["day"])
-        warnings += told + _no_moonlight(scene, facts, response, seen)
+        remarks = _own_value(scene, seen)
+    if night is not None:
+        warnings += _little_twilight(scene, facts, seen, night)
+        warnings += _no_moonlight(scene, facts, seen, night)
     warnings += skies.bodies
     warnings += _earth_in_field(scene, facts, response, seen, nearest["earth"])
     warnings += _planets_in_field(seen, nearest)
@@ -158,6 +172,14 @@ def highest_sun_rad(scene: Scene) -> float | None:
     return HIGHEST_WITH_TWILIGHT_RAD if b is not None and b.twilight else HIGHEST_OF_NIGHT_RAD
 
 
+def lacks_night(scene: Scene) -> bool:
+    """Whether a site's sky is drawn without its moonlight or its twilight."""
+    b = scene.background
+    if not isinstance(scene.observer, GroundObserver) or _own_sky(b):
+        return False
+    return b is None or not (b.moonlight and b.twilight)
+
+
 def _own_sky(b: Background | None) -> bool:
     given = b is not None and (b.uniform_mag_arcsec2 is not None or b.uniform_e_per_s is not None)
     return given and b is not None and not b.of_the_air
@@ -188,18 +210,12 @@ def _daylight(scene: Scene, seen: LampGeometry, k: int) -> list[str]:
     ]
 
 
-def _sunlight(
-    scene: Scene, facts: Facts, response: ResponseCurve, seen: LampGeometry, day: int
-) -> tuple[list[str], list[str]]:
-    """Warnings and remarks of the Sun's elevation at a site, where it is not too high."""
-    highest, b = highest_sun_rad(scene), scene.background
-    up, where = _elevation(seen, int(np.argmax(seen.sun.elevation)) if highest is None else day)
-    if highest is None:
-        note = f"{where}: the sky is the scene's own uniform value, whatever the Sun's light"
-        return [], [note] if up > DARK_RAD else []
-    if DARK_RAD < up <= highest and not (b is not None and b.twilight):
-        return _little_twilight(scene, facts, response, where, up), []
-    return [], []
+def _own_value(scene: Scene, seen: LampGeometry) -> list[str]:
+    """What is said of the Sun where a site's sky is the scene's own number."""
+    up, where = _elevation(seen, int(np.argmax(seen.sun.elevation)))
+    if highest_sun_rad(scene) is not None or up <= DARK_RAD:
+        return []
+    return [f"{where}: the sky is the scene's own uniform value, whatever the Sun's light"]
 
 
 def _elevation(seen: LampGeometry, k: int) -> tuple[float, str]:
@@ -214,36 +230,41 @@ def _size(sun_elevation_rad: float) -> str:
 
 
 def _little_twilight(
-    scene: Scene, facts: Facts, response: ResponseCurve, where: str, up_rad: float
+    scene: Scene, facts: Facts, seen: LampGeometry, night: UndrawnNight
 ) -> list[str]:
-    """What is said of twilight that is not asked for, where it is more than the accuracy."""
-    mag = _night().twilight_zenith_v_mag(up_rad)
-    light_e = _light_e(scene, facts, response, mag)
-    if light_e <= scene.accuracy.noise_fraction * facts.light_floor_e:
+    """What is said of twilight that is not asked for, where it is more than the accuracy; of a Sun
+    that is too high `_daylight` speaks."""
+    b, highest = scene.background, highest_sun_rad(scene)
+    if (b is not None and b.twilight) or (highest is None or seen.sun.elevation.max() > highest):
         return []
-    return [
-        f"{where}: twilight, about V = {mag:.1f} per square arcsecond at the zenith or "
-        f"{light_e:.3g} e- per pixel, is not drawn (background.twilight draws it)"
-    ]
+    k, light = night.most("twilight", seen)
+    size = _undrawn_size(scene, facts, light)
+    if size is None:
+        return []
+    return [f"{_elevation(seen, k)[1]}: twilight, {size} (background.twilight draws it)"]
 
 
-def _no_moonlight(
-    scene: Scene, facts: Facts, response: ResponseCurve, seen: LampGeometry
-) -> list[str]:
+def _no_moonlight(scene: Scene, facts: Facts, seen: LampGeometry, night: UndrawnNight) -> list[str]:
     """What is said of moonlight that is not asked for, where it is more than the accuracy."""
-    b, k = scene.background, int(np.argmax(seen.moon.elevation))
-    up = float(seen.moon.elevation[k])
-    if up <= 0.0 or _own_sky(b) or (b is not None and b.moonlight):
+    b = scene.background
+    if b is not None and b.moonlight:
         return []
-    mag = _night().moonlight_zenith_v_mag(up, seen.moon_fraction(k))
-    light_e = _light_e(scene, facts, response, mag)
-    if light_e <= scene.accuracy.noise_fraction * facts.light_floor_e:
+    k, light = night.most("moonlight", seen)
+    size = _undrawn_size(scene, facts, light)
+    if size is None:
         return []
     return [
-        f"the Moon at {up / DEG_RAD:.2f} deg of elevation (frame {seen.frame(k)}): moonlight, "
-        f"about V = {mag:.1f} per square arcsecond at the zenith or {light_e:.3g} e- per pixel, is "
-        "not drawn (background.moonlight draws it)"
+        f"the Moon at {float(seen.moon.elevation[k]) / DEG_RAD:.2f} deg of elevation (frame "
+        f"{seen.frame(k)}): moonlight, {size} (background.moonlight draws it)"
     ]
+
+
+def _undrawn_size(scene: Scene, facts: Facts, light: float) -> str | None:
+    """How much light of electrons per m2 and sr in an exposure is; None below the accuracy."""
+    light_e = light * facts.area_m2 * facts.ifov_rad**2 * scene.sensor.fill_factor
+    if light_e <= scene.accuracy.noise_fraction * facts.light_floor_e:
+        return None
+    return f"{light_e:.3g} e- per pixel in the middle of the frame, is not drawn"
 
 
 def _light_e(scene: Scene, facts: Facts, response: ResponseCurve, mag: float) -> float:

@@ -65,21 +65,39 @@ def night_parts(
     if band is None or not b.of_the_air:
         return {}
     air = g.air[f, node]
-    sine = observed @ air[:3]
     if b.airglow:
-        out["airglow"] = airglow(band, inputs.extinction, sine)
+        out["airglow"] = airglow(band, inputs.extinction, observed @ air[:3])
     if not (b.moonlight or b.twilight):
         return out
-    assert inputs.extinction is not None
     tt = g.tt1[f, node], g.tt2[f, node]
     earth = earth_and_sun(*tt)
     place, sun = g.observer_m[f, node] - earth.position_m[0], earth.sun_from_earth_m[0]
+    return out | scattered_parts(b, inputs, air, observed, place, sun, moon_m(*tt)[0])
+
+
+def scattered_parts(
+    b: Background,
+    inputs: SkyInputs,
+    air: Array,
+    observed: Array,
+    place: Array,
+    sun: Array,
+    moon: Array,
+) -> dict[str, Array]:
+    """Of these the moonlight and the twilight, where they are asked for.
+
+    air : (5,) of the Geometry; place, sun, moon : (3,) of the site and of both bodies, from the
+        Earth's centre
+    """
+    band, extinction, out = inputs.night, inputs.extinction, {}
+    assert band is not None
+    assert extinction is not None
+    sine = observed @ air[:3]
     if b.moonlight:
-        moon = moon_m(*tt)[0]
         seen = refract(unit(moon - place), air)
         out["moonlight"] = moonlight(
             band,
-            inputs.extinction,
+            extinction,
             sine,
             float(seen @ air[:3]),
             separation(observed, seen[None]),
@@ -89,7 +107,7 @@ def night_parts(
         up = unit(sun - place)
         apart = separation(observed, up[None])
         sun_sine = min(float(up @ air[:3]), 0.0)
-        out["twilight"] = twilight(band, inputs.extinction, sine, sun_sine, apart)
+        out["twilight"] = twilight(band, extinction, sine, sun_sine, apart)
     return out
 
 
