@@ -166,7 +166,7 @@ def resolve(asked: Scene) -> Resolved:
             *light.remarks,
             *doubts.remarks,
             *remarks,
-            *undrawn_remarks(asked, facts, light.colour),
+            *undrawn_remarks(asked, _limit_g_mag(scene), catalogues, facts, light.colour),
             *optics_remarks(scene),
             *seeing_remarks(scene, g),
             *flat_remarks(scene, maps),
@@ -179,6 +179,11 @@ def resolve(asked: Scene) -> Resolved:
             *(sky.remarks if sky is not None else ()),
         ),
     )
+
+
+def _limit_g_mag(scene: Scene) -> float | None:
+    """The limit of stars, the scene's own or the noise's; None where all are drawn."""
+    return None if scene.stars is None else scene.stars.faintest_g_mag
 
 
 def _of_targets(scene: Scene, g: Geometry, facts: Facts) -> list[str]:

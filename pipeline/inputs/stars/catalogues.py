@@ -147,12 +147,29 @@ def catalogue_remarks(
     return tuple(out)
 
 
-def undrawn_remarks(scene: Scene, facts: Facts, fit: ColourFit | None) -> list[str]:
-    """What is said of stars beyond the limit that a scene gives, whose light it does not ask for,
-    where that is more than the accuracy; scene : as asked, facts : with its sky."""
-    limit, b = scene.stars.faintest_g_mag if scene.stars else None, scene.background
-    if limit is None or fit is None or (b is not None and b.starlight == "all"):
+def undrawn_remarks(
+    scene: Scene,
+    limit_g_mag: float | None,
+    catalogues: Sequence[Catalogue],
+    facts: Facts,
+    fit: ColourFit | None,
+) -> list[str]:
+    """What is said of stars beyond a limit or the catalogues' end, whose light the scene does not
+    ask for, where that is more than the accuracy.
+
+    scene : as asked; limit_g_mag : that it gives, or that the noise set; facts : with its sky
+    """
+    b = scene.background
+    if limit_g_mag is None or fit is None or (b is not None and b.starlight == "all"):
         return []
+    ends = [math.inf if c.faintest_g_mag is None else c.faintest_g_mag for c in catalogues]
+    end = max(ends, default=math.inf)
+    to_end = scene.stars is not None and scene.stars.limit_from_noise
+    to_end &= b is None or b.starlight != "none"  # the sky holds what the catalogues have
+    limit = end if to_end else min(limit_g_mag, end)
+    if limit == math.inf:
+        return []
+    which = "where the catalogues end" if limit == end else "stars.faintest_g_mag"
     mag = float(colour_correction_mag(np.array([fit.default_colour]), fit)[0])
     pixel_m2_sr = facts.area_m2 * facts.ifov_rad**2 * scene.sensor.fill_factor
     rate = fit.zero_electrons_s_m2 * 10.0 ** (-0.4 * mag) * mean_light(limit) * pixel_m2_sr
@@ -160,7 +177,7 @@ def undrawn_remarks(scene: Scene, facts: Facts, fit: ColourFit | None) -> list[s
     if light_e <= scene.accuracy.noise_fraction * facts.light_floor_e:
         return []
     return [
-        f"stars beyond G = {limit:g} (stars.faintest_g_mag) are neither drawn nor in the sky: "
+        f"stars beyond G = {limit:.3g} ({which}) are neither drawn nor in the sky: "
         f"{light_e:.3g} e- per pixel on the mean of the whole sky, some 3 times that in the Milky "
         "Way (background.starlight: all adds them)"
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -200,6 +201,31 @@ def test_undrawn_light_is_told_of_the_longest_exposure():
         scene = parse_scene(BASE | {
             "stars": {"catalogue": "c", "faintest_g_mag": 12.0},
             "dwells": [{"integration_s": [0.1, longest_s], "frames": 2}]})  # fmt: skip
-        [remark] = undrawn_remarks(scene, facts_of(scene), fit)
+        [remark] = undrawn_remarks(scene, 12.0, [], facts_of(scene), fit)
         told.append(float(re.search(r"in the sky: (\S+) e- per pixel", remark)[1]))
     assert told[1] / told[0] == pytest.approx(200.0, rel=0.02)
+
+
+@pytest.mark.parametrize(("stars", "sky", "limit", "end", "told"), [
+    ({"faintest_g_mag": 12.0}, None, 12.0, 17.0, "12 (stars.faintest_g_mag)"),
+    ({"faintest_g_mag": 18.0}, None, 18.0, 11.0, "11 (where the catalogues end)"),
+    ({"faintest_g_mag": "auto"}, None, 22.9, 12.0, "12 (where the catalogues end)"),
+    ({"faintest_g_mag": "auto"}, "auto", 11.0, 12.0, "12 (where the catalogues end)"),
+    ({"faintest_g_mag": "auto"}, "none", 11.0, 12.0, "11 (stars.faintest_g_mag)"),
+    ({"faintest_g_mag": "auto"}, "none", 22.9, 12.0, "12 (where the catalogues end)"),
+    ({"faintest_g_mag": "auto"}, "all", 22.9, 12.0, None),
+    ({"faintest_g_mag": "auto"}, None, 22.9, None, None),
+    ({}, None, None, 12.0, None),
+])  # fmt: skip
+def test_stars_that_nothing_draws_are_told_from_where_they_begin(stars, sky, limit, end, told):
+    """Beyond a given limit; of one that the noise set, beyond what the catalogues hold, as the sky
+    has the rest unless it is asked to have none."""
+    fit = ColourFit("b", np.zeros(1), (0.0, 1.0), 0.0, 0.0, 0.0, 0.5, 0.1, 0.0, 1e10, "made up", 1)
+    b = {"background": {"starlight": sky}} if sky else {}
+    scene = parse_scene(BASE | {"stars": {"catalogue": "c"} | stars,
+                                "exposure": {"integration_s": 400.0}} | b)  # fmt: skip
+    made = SimpleNamespace(faintest_g_mag=end)
+    found = undrawn_remarks(scene, limit, [made], facts_of(scene), fit)
+    assert [one.split(" are neither")[0] for one in found] == (
+        [f"stars beyond G = {told}"] if told else []
+    )
