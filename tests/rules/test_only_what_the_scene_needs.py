@@ -257,7 +257,7 @@ def test_stars_below_the_limit_are_not_drawn(few, tmp_path):
 SECTIONS = ("stars", "targets", "background", "cosmic_rays")
 NEUTRAL = ("flat", "dark", "photon_noise", "full_well", "read_noise", "bias")
 # Whose reason says what is missing where no number bounds it in a pixel: a choice of the scene.
-UNBOUNDED = {"atmosphere"}
+UNBOUNDED = {"atmosphere", "background.zodiacal", "background.galactic", "background.starlight"}
 
 
 PSFS = {"gaussian": {"kind": "gaussian", "sigma_px": 1.1}, "airy": {"kind": "airy"}}

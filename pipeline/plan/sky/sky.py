@@ -296,7 +296,7 @@ def _published_told(light: LightOfSky, ends: list[dict[str, Array]]) -> list[Dec
             how += dim if name != "uniform" else ""
             out.append(Decision(f"background.{name}", True, f"{span}: {how}"))
         elif name != "uniform" and (name != "starlight" or b.starlight == "none"):
-            out.append(Decision(f"background.{name}", False, "not asked for", 0.0, 0.0))
+            out.append(Decision(f"background.{name}", False, "not asked for"))
     return out
 
 

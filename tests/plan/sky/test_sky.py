@@ -475,3 +475,18 @@ def test_under_tdi_a_pixel_collects_the_sky_of_its_charges_way(scene, rows_per_s
         off_e = np.abs(whole(s, sky, k)[:, 5] - wanted).max() * time_s
         assert off_e <= 0.02 * facts.sigma_floor_e + 1e-5 * image.max() * time_s
         assert np.abs(wanted - image).max() * time_s > 10.0 * off_e
+
+
+@pytest.mark.parametrize("asked", [{"uniform_e_per_s": 1.0, "starlight": "none"},
+                                   {"zodiacal": True, "starlight": "none"}])  # fmt: skip
+def test_light_that_is_not_asked_for_has_no_bound(scene, asked):
+    """It is there all the same: how much is not looked up."""
+    told = planned(scene, {"background": asked})[2].decisions
+    parts = ("zodiacal", "galactic", "starlight")
+    names = {f"background.{n}" for n in parts if asked.get(n) in (None, "none")}
+    left_out = {d.component: d for d in told if not d.kept}
+    assert names <= set(left_out)
+    for d in left_out.values():
+        assert d.reason == "not asked for"
+        assert d.error_bound_e is None
+        assert d.error_bound_sigma is None
