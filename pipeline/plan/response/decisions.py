@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -23,6 +23,8 @@ from pipeline.plan.response.responses import (
 )
 from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.plan.tiles import BLOCK_PX
+
+MOST_TOLD = 20  # wavelengths that are named one by one
 
 
 def _responses(basis: PlanBasis) -> Iterator[Decision]:
@@ -61,7 +63,7 @@ def _wavelengths(basis: PlanBasis, band: BandOptics) -> Decision:
     bright it is at most sqrt(k) of that if k < 1 and light has noise of its own, else k.
     """
     scene, facts, brightest_e = basis.scene, basis.facts, basis.brightest_e
-    nm = ", ".join(f"{w * 1e9:.0f}" for w in band.wavelengths_m)
+    nm = _in_nm([w * 1e9 for w in band.wavelengths_m])
     name = "monochromatic_psf" if len(band.wavelengths_m) == 1 else "few_wavelengths"
     if not by_wavelength(scene):
         return Decision(name, True, f"drawn at {nm} nm: as asked")
@@ -80,6 +82,14 @@ def _wavelengths(basis: PlanBasis, band: BandOptics) -> Decision:
         expected = band.error_sigma * planned_floor_e(scene, floor_e) / floor_e
         sigma = min(sigma, expected * (math.sqrt(ratio) if hidden else ratio))
     return Decision(name, True, reason, band.error * brightest_e, sigma)
+
+
+def _in_nm(wavelengths_nm: Sequence[float]) -> str:
+    """Wavelengths in whole nanometres, in a row; of many their number and their ends."""
+    if len(wavelengths_nm) <= MOST_TOLD:
+        return ", ".join(dict.fromkeys(f"{w:.0f}" for w in wavelengths_nm))
+    ends = min(wavelengths_nm), max(wavelengths_nm)
+    return f"{len(wavelengths_nm)} wavelengths from {ends[0]:.0f} to {ends[1]:.0f}"
 
 
 def _of_colours(band: BandOptics) -> str:

@@ -247,8 +247,11 @@ def _check_elongation(least_rad: float, request: Zodiacal | bool | None) -> None
     end = nearest_known_rad(request)
     if least_rad < end:
         hint = "" if end == z.NEAREST_RAD else "; near_sun: extrapolate goes to 2"
+        found = f"{least_rad / DEG_RAD:.3g}"
+        if float(found) >= end / DEG_RAD:  # as it would read when rounded
+            found = f"just below {end / DEG_RAD:.0f}"
         raise BadInput(
             "background.zodiacal",
-            f"{least_rad / DEG_RAD:.3g} deg from the Sun in the field",
+            f"{found} deg from the Sun in the field",
             f"{end / DEG_RAD:.0f} degrees or more{hint}",
         )

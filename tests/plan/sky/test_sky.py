@@ -30,7 +30,7 @@ from pipeline.physics.targets.shadow import moon_m
 from pipeline.physics.vectors import from_angles, separation
 from pipeline.plan.facts import gather_facts
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
-from pipeline.plan.sky.light import LightOfSky, off_plane_remarks
+from pipeline.plan.sky.light import LightOfSky, _check_elongation, off_plane_remarks
 from pipeline.plan.sky.night import _moon_share, dimmed
 from pipeline.plan.sky.sky import _grid_told, facts_with_sky, plan_sky, sky_grid, sky_tile
 from pipeline.plan.stars.faint import faint_limit, limits_g_mag
@@ -321,6 +321,17 @@ def test_refusals(scene, changes, field, said):
     with pytest.raises(BadInput, match=said) as caught:
         planned(scene, ZODIACAL | changes)
     assert caught.value.field == field
+
+
+@pytest.mark.parametrize(
+    ("degrees", "found"),
+    [(14.94, "14.9"), (14.98, "just below 15"), (14.99999, "just below 15"), (0.0399, "0.0399")],
+)
+def test_an_angle_that_is_refused_does_not_read_as_allowed(degrees, found):
+    with pytest.raises(BadInput, match="15 degrees or more") as caught:
+        _check_elongation(np.radians(degrees), None)
+    assert caught.value.value == f"{found} deg from the Sun in the field"
+    _check_elongation(np.radians(15.0), None)
 
 
 def test_zodiacal_light_off_the_ecliptic_is_told_with_its_size(scene):
