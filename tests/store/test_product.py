@@ -226,6 +226,15 @@ def test_a_large_table_is_judged_when_it_is_read(product, tmp_path, monkeypatch)
         truth["targets"]
 
 
+def test_locks_are_no_part_of_what_is_sealed(product):
+    """They come and go with whoever writes: a product is whole without them."""
+    files = json.loads((product / "_COMPLETE").read_text())["files"]
+    assert not [name for name in files if ".lock" in name]
+    for lock in product.glob(".lock*"):
+        lock.unlink()
+    assert check(product).whole
+
+
 def test_a_seal_with_another_digest_is_named(product):
     seal = json.loads((product / "_COMPLETE").read_text())
     digest = seal["content_digest"]

@@ -153,6 +153,16 @@ def test_every_row_is_accounted_for(tmp_path):
     assert info(report.catalogue)["rejected"] == report.rejected
 
 
+@pytest.mark.parametrize(("arcsec", "elsewhere"), [(0.9, 0), (1.1, 1)])
+def test_a_repeated_id_is_at_another_place_from_an_arcsecond_on(arcsec, elsewhere, tmp_path):
+    path = tmp_path / "twice.csv"
+    path.write_text(f"{HEAD}\n1,10,60,12\n1,{10.0 + arcsec / 1800.0:.12f},60,12\n")
+    rejected = ingest([path], tmp_path / "c").rejected
+    kinds = [1 - elsewhere, elsewhere]
+    told = ("source_id occurs more than once", "source_id occurs more than once, at another place")
+    assert [rejected.get(reason, 0) for reason in told] == kinds
+
+
 def test_rejected_rows_have_the_numbers_of_their_own_files(tmp_path):
     """Of rows below each head, however many there are in the files before."""
     for name, wrong in (("a", 1), ("b", 3), ("c", 0)):
