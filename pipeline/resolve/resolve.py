@@ -133,8 +133,7 @@ def resolve(asked: Scene) -> Resolved:
         converter_top_e(scene, maps),
     )
     extinction = _extinction(scene, band[0])
-    night = _undrawn_night(scene, band[0], extinction, dut1_s)
-    doubts = sky_doubts(scene, facts, band[0], dut1_s, night)
+    doubts = sky_doubts(scene, facts, band[0], dut1_s, _night(scene, band[0], extinction, dut1_s))
     scene, facts, sky = _sky(scene, band, catalogues, light.colour, facts, g, dut1_s, extinction)
     scene, g = _populated(scene, facts, g, dut1_s)
     coverage, warnings, remarks = _judge_catalogues(scene, catalogues, g, light.colour)
@@ -289,7 +288,7 @@ def _extinction(scene: Scene, response: ResponseCurve) -> BandExtinction | None:
     return gather_extinction(scene, response)
 
 
-def _undrawn_night(
+def _night(
     scene: Scene, response: ResponseCurve, extinction: BandExtinction | None, dut1_s: float
 ) -> UndrawnNight | None:
     """Moonlight and twilight that a site's scene does not draw; nothing is read for others."""
