@@ -33,13 +33,13 @@ from pipeline.physics.drawing.spectral import Sources, draw_points, draw_spectra
 from pipeline.physics.drawing.spectral_plan import brightest_for
 from pipeline.physics.drawing.wings import WingGrid, convolve, spread, wing_grid
 from pipeline.physics.motion.points import points_of_many
-from pipeline.physics.motion.streak import POINT, Path, light_near, within
+from pipeline.physics.motion.streak import POINT, Path, within
 from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.accuracy import UNSEEN, crowd_error_e
 from pipeline.plan.plan import Plan
 from pipeline.plan.response.own_paths import star_offsets
 from pipeline.plan.response.responses import CoreClass, first_above
-from pipeline.plan.response.streaks import Streak, points_to, together_e
+from pipeline.plan.response.streaks import Streak, near_share, points_to, together_e
 from pipeline.plan.tiles import BLOCK_PX, Tile, cut_up, distance_px
 
 Spectrum = NDArray[np.complex128]
@@ -190,7 +190,7 @@ def _own_crowd(
     asked = core.radius_px, POINT, shape, len(stars) * points, r.budget_e / core.together_e
     near = _near(plan, place, core.radius_px + _farthest(paths))
     limit = min(core.brightest_e, together_e(r.streaks, paths))
-    share = max(light_near(s.path, core.radius_px)[0] for s in paths)
+    share = max(near_share(streak, core.radius_px) for streak in paths)
     for blur in near:
         spectral = spectral_plan_of(blur, *asked)
         if spectral is None:

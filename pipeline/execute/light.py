@@ -52,7 +52,7 @@ def draw_stars(
     """Electrons of the stars in a tile: (rows, columns) float64, before the flat."""
     image = np.zeros((tile.rows, tile.columns))
     paths = streaks(plan, g)
-    reach, every = _core_reach(plan, paths), concatenate(parts, FrameStars)
+    reach, every = _core_reach(plan, g, paths), concatenate(parts, FrameStars)
     guard_stars(g, tile, every)
     stars = whole_stars(around(every, tile, reach))
     if not any(b.crowd_e is not None for b in blocks):
@@ -363,9 +363,11 @@ def _add(image: Array, tile: Tile, stamp: tuple[int, int, Array], light_e: float
         image[top + r0 : top + r1, left + c0 : left + c1] += light_e * values[r0:r1, c0:c1]
 
 
-def _core_reach(plan: Plan, paths: list[Streak]) -> float:
-    """Farthest pixel that the largest core of a streaked star touches."""
-    return plan.responses.classes[-1].radius_px + _sweep(paths) + 8.0
+def _core_reach(plan: Plan, g: Geometry, paths: list[Streak]) -> float:
+    """Farthest pixel that the largest core of a streaked star touches: those beside a wide field
+    move farther than those in the middle of its zones."""
+    sweep = max(_sweep(paths), excursion_px(plan, g))
+    return plan.responses.classes[-1].radius_px + sweep + 8.0
 
 
 def _sweep(paths: list[Streak]) -> float:

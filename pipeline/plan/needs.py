@@ -18,12 +18,13 @@ from pipeline.plan.optics.optics import LARGEST_CORE_SAMPLES
 from pipeline.plan.plan import Plan
 from pipeline.plan.resolved import ResolvedScene
 from pipeline.plan.response.responses import crowd_s, stamp_s
-from pipeline.plan.tiles import BLOCK_PX, tile_shape
+from pipeline.plan.tiles import BLOCK_PX, blocks_of, tile_shape
 
 # Measured on one core of the 2-core reference machine (benchmarks/frame.py prints them anew).
 PLACE_S_PER_STAR = 0.6e-6
 WING_S_PER_PIXEL = 25e-9
 CROWD_BYTES_PER_PIXEL = 50.0
+OWN_POINTS_MB = 30.0  # of points along stars' own paths that are spread together
 STAR_BYTES = 150.0
 BASE_MB = 180.0  # of a process that has imported all and draws nothing
 GRID_S_PER_POINT = 1e-7  # of a block's grid of wings, for each core class
@@ -169,9 +170,11 @@ def _memory_mb(plan: Plan, forecast: StarForecast | None, spent: Spent) -> dict[
         "stars": stars * STAR_BYTES / 1e6,
         "tables": r.table_mb + max(0.0, _core_mb(plan) - LIBRARY_MB),
     }
-    if _in_crowds(plan, stars) or any(core.together_from for core in r.classes):
+    own = any(core.together_from for core in r.classes)
+    if _in_crowds(plan, stars) or own:
         pixels = min(math.prod(plan.scene.sensor.shape), BLOCK_PX**2)
         out["crowds"] = CROWD_BYTES_PER_PIXEL * pixels / 1e6
+        out["crowds"] += own * (out["crowds"] + OWN_POINTS_MB)  # most in float64
     if r.spacing_px and _classes_used(plan, spent, r.around):
         classes = 4.0 + min(CLASSES_USED, len(r.classes))
         still = _grid_points(plan, 0.0) * 8.0 * classes
@@ -209,7 +212,7 @@ def _wings_s(plan: Plan, spent: Spent) -> float:
     r = plan.responses
     if not (r.spacing_px and _classes_used(plan, spent, r.around)):
         return 0.0
-    blocks = math.prod(math.ceil(n / BLOCK_PX) for n in plan.scene.sensor.shape)
+    blocks = blocks_of(plan.scene.sensor.shape)
     each = GRID_S_PER_POINT * min(CLASSES_USED, len(r.classes))
     if spent.excursion_px:
         each += SWEEP_S_PER_POINT * 8.0
@@ -291,7 +294,7 @@ def _profiles_s(plan: Plan, spent: Spent) -> float:
 
 def _in_crowds(plan: ResolvedScene, stars: int) -> bool:
     """Whether the frame's stars, spread evenly, are enough for transforms."""
-    blocks = math.ceil(math.prod(plan.scene.sensor.shape) / BLOCK_PX**2)
+    blocks = blocks_of(plan.scene.sensor.shape)
     own = plan.responses.classes[0].together_from if plan.responses.classes else 0
     return not own and 0 < plan.responses.spectral_from <= stars / blocks
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,11 @@ class Tile:
     x0: int
     rows: int
     columns: int
+
+
+def blocks_of(shape: tuple[int, int]) -> int:
+    """How many blocks a focal plane is drawn in."""
+    return math.prod(math.ceil(n / BLOCK_PX) for n in shape)
 
 
 def distance_px(x_px: Array, y_px: Array, y0: int, x0: int, rows: int, columns: int) -> Array:

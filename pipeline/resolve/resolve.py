@@ -295,9 +295,8 @@ def _night(
     if not lacks_night(scene):
         return None
     from pipeline.inputs.sky.night import gather_undrawn
-    from pipeline.plan.sky.undrawn import UndrawnNight
 
-    return UndrawnNight(scene, gather_undrawn(scene, response, extinction), dut1_s)
+    return gather_undrawn(scene, response, extinction, dut1_s)
 
 
 def _sky(

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.execute.blocks import render_block
 from pipeline.execute.check import reference
-from pipeline.execute.light import draw_stars
+from pipeline.execute.light import draw_along, draw_stars
 from pipeline.execute.sources import streaks, zone_of
 from pipeline.physics.drawing.wings import swept_apart
 from pipeline.physics.psf.response import compact_core
@@ -22,6 +22,7 @@ from pipeline.plan.response.wing_sweeps import wing_sweeps
 from pipeline.plan.response.zones import zone_of_frame
 from pipeline.plan.tiles import Tile
 from tests.execute.test_engines import SIDE, drawn, field, geometry_of, plan_of
+from tests.execute.test_star_engines import plan_of as wide_plan_of
 
 PIXEL_ARCSEC = np.degrees(1e-5) * 3600.0
 
@@ -202,6 +203,20 @@ def test_stars_together_along_their_own_paths_have_their_light(psf):
     noise = np.sqrt(1.0 + np.maximum(apart, 0.0) / 25.0)  # of a pixel, over that of an empty one
     assert (np.abs(together - apart) <= 2.0 * r.budget_e * noise).all()
     assert together.sum() == pytest.approx(apart.sum(), rel=1e-5)
+
+
+def test_stars_far_beside_a_wide_field_are_drawn_in_every_way():
+    """They move farther than those in the middle of its zones: 119 degrees across."""
+    plan = wide_plan_of(40.0, focal_length_m=1.5e-3)
+    g, rng = geometry_of(plan), np.random.default_rng(2)
+    x = np.concatenate([rng.uniform(-100.0, -60.0, 150), rng.uniform(571.0, 611.0, 150)])
+    stars = field(x, rng.uniform(0.0, 511.0, 300), np.full(300, 100.0))
+    whole = Tile(0, 0, 0, 0, 512, 512)
+    image = draw_stars(plan, g, whole, [stars], [])
+    alone = np.zeros((512, 512))
+    draw_along(plan, g, alone, whole, stars)
+    assert alone.sum() > 1000.0
+    assert np.abs(image - alone).max() <= plan.responses.budget_e
 
 
 @pytest.mark.parametrize("roll_deg", [20.0, 180.0, 270.0, 340.0])

@@ -19,6 +19,7 @@ from pipeline.physics.sky.night import (
     solar_activity,
 )
 from pipeline.plan.sky.inputs import SkyInputs
+from pipeline.plan.sky.undrawn import UndrawnNight
 from pipeline.spec.scene import Scene
 from pipeline.spec.sky.atmosphere import Atmosphere, Extinction
 from pipeline.spec.sky.background import Airglow, Background
@@ -46,8 +47,8 @@ def gather_night(request: Background, response: ResponseCurve) -> NightBand:
 
 
 def gather_undrawn(
-    scene: Scene, response: ResponseCurve, extinction: BandExtinction | None
-) -> SkyInputs:
+    scene: Scene, response: ResponseCurve, extinction: BandExtinction | None, dut1_s: float
+) -> UndrawnNight:
     """What moonlight and twilight in a band follow from, above a site that need not ask for any.
 
     extinction : of its air; where the scene has none, that of a standard atmosphere scatters
@@ -57,4 +58,4 @@ def gather_undrawn(
         air = Atmosphere(extinction=Extinction())
         observer = scene.observer.model_copy(update={"atmosphere": air})
         extinction = gather_extinction(scene.model_copy(update={"observer": observer}), response)
-    return SkyInputs(extinction=extinction, night=band)
+    return UndrawnNight(scene, SkyInputs(extinction=extinction, night=band), dut1_s)

@@ -147,6 +147,19 @@ def catalogue_remarks(
     return tuple(out)
 
 
+def _undrawn_from(
+    scene: Scene, limit_g_mag: float, catalogues: Sequence[Catalogue]
+) -> tuple[float, str]:
+    """G beyond which stars are neither drawn nor in the sky, infinity where none are, and by what;
+    arguments as of `undrawn_remarks`."""
+    ends = [math.inf if c.faintest_g_mag is None else c.faintest_g_mag for c in catalogues]
+    end, b = max(ends, default=math.inf), scene.background
+    to_end = scene.stars is not None and scene.stars.limit_from_noise
+    to_end &= b is None or b.starlight != "none"  # the sky holds what the catalogues have
+    limit = end if to_end else min(limit_g_mag, end)
+    return limit, "where the catalogues end" if limit == end else "stars.faintest_g_mag"
+
+
 def undrawn_remarks(
     scene: Scene,
     limit_g_mag: float | None,
@@ -162,14 +175,9 @@ def undrawn_remarks(
     b = scene.background
     if limit_g_mag is None or fit is None or (b is not None and b.starlight == "all"):
         return []
-    ends = [math.inf if c.faintest_g_mag is None else c.faintest_g_mag for c in catalogues]
-    end = max(ends, default=math.inf)
-    to_end = scene.stars is not None and scene.stars.limit_from_noise
-    to_end &= b is None or b.starlight != "none"  # the sky holds what the catalogues have
-    limit = end if to_end else min(limit_g_mag, end)
+    limit, which = _undrawn_from(scene, limit_g_mag, catalogues)
     if limit == math.inf:
         return []
-    which = "where the catalogues end" if limit == end else "stars.faintest_g_mag"
     mag = float(colour_correction_mag(np.array([fit.default_colour]), fit)[0])
     pixel_m2_sr = facts.area_m2 * facts.ifov_rad**2 * scene.sensor.fill_factor
     rate = fit.zero_electrons_s_m2 * 10.0 ** (-0.4 * mag) * mean_light(limit) * pixel_m2_sr

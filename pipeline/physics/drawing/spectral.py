@@ -69,7 +69,8 @@ def draw_points(
     origin: tuple[int, int],
     threads: int = 1,
 ) -> NDArray[np.floating]:
-    """The same of points at rest that come in parts: x, y [px] and light [e-] of some at a time."""
+    """The same of points at rest that come in parts: x, y [px] and light [e-] of some at a time,
+    all finite."""
     spectrum = np.zeros((plan.period[0], plan.period[1] // 2 + 1), plan.complex_type)
     x0, y0 = origin[1] - plan.pad[1], origin[0] - plan.pad[0]
     modes = _modes(plan, ((x - x0, y - y0, light) for x, y, light in parts), threads)

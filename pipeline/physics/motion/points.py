@@ -74,7 +74,8 @@ def points_of_many(offsets: Array, band: float) -> tuple[Array, Array]:
 def bend_px(offsets: Array) -> float:
     """How far paths (..., K) through places at equal times may be from the cubic between them: by
     1/24 of their fourth differences, where all four nodes are on one side."""
-    return float(np.abs(np.diff(offsets, 4, axis=-1)).max(initial=0.0)) / 24.0
+    fourth = np.diff(offsets, 4, axis=-1)  # of x and of y
+    return math.sqrt(2.0) * float(np.abs(fourth).max(initial=0.0)) / 24.0
 
 
 @njit(cache=True, nogil=True)

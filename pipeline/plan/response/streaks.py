@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
 from pipeline.physics.motion.points import bend_px, points_per_px
-from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, path_through
+from pipeline.physics.motion.streak import (
+    LONGEST_PIECE_PX,
+    Path,
+    densest_share,
+    light_near,
+    path_through,
+)
 from pipeline.physics.positions.focal_plane import Camera, ifov_rad
 from pipeline.plan.response.own_paths import FINEST_MERGE_PX, exact_path, star_offsets
 from pipeline.plan.response.zones import CHECKS, NODES, Zone, biquadratic, lagrange, zone_of_frame
@@ -320,12 +326,21 @@ def together_e(plan: StreakPlan, paths: list[Streak]) -> float:
     steps = [np.hypot(*np.diff(places, axis=-1)) for places in followed]
     shortest_px = min(float(step.sum(axis=-1).min()) for step in steps) / SLACK
     off_px = SLACK * max(map(bend_px, followed)) + plan.rounded_px
-    return light_from(off_px / SHOWN, plan) * max(1.0, shortest_px)
+    densest = max(densest_share(s.path.x_px, s.path.y_px, s.path.weight) for s in paths)
+    return light_from(off_px / SHOWN, plan) * min(max(1.0, shortest_px), 1.0 / densest)
+
+
+def near_share(streak: Streak, radius_px: float) -> float:
+    """Largest part of a star's light, of any of the streak's zone, within a radius of a pixel."""
+    return 1.0 if streak.uneven else min(1.0, SLACK * light_near(streak.path, radius_px)[0])
 
 
 def points_to(band: float, paths: list[Streak]) -> int:
-    """About how many points, for a band [cycles/px], stand for a star's own path in a frame."""
-    return math.ceil(points_per_px(band) * max(s.path.length_px for s in paths)) + 1
+    """About how many points, for a band [cycles/px], stand for a star's own path in a frame: as
+    if it moved as fast all the time as it does at most."""
+    steps = [np.hypot(*np.diff(np.moveaxis(s.followed, 0, -1), axis=-1)) for s in paths]
+    fastest_px = max(step.shape[-1] * float(step.max()) for step in steps)
+    return math.ceil(points_per_px(band) * fastest_px) + 1
 
 
 def _power_of_two(n: float) -> int:

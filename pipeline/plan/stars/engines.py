@@ -48,12 +48,13 @@ from pipeline.plan.response.streaks import (
     POINTS,
     Streak,
     light_from,
+    near_share,
     points_to,
     together_e,
     zone_streak,
 )
 from pipeline.plan.stars.field_stars import StarCounts
-from pipeline.plan.tiles import BLOCK_PX
+from pipeline.plan.tiles import BLOCK_PX, blocks_of
 
 if TYPE_CHECKING:
     from pipeline.plan.resolved import ResolvedScene
@@ -161,25 +162,36 @@ def _together(
 ) -> tuple[CoreClass, list[str], float] | None:
     """A class whose stars above `low_e` are drawn together, as points along their own paths, where
     that takes no more than CHEAPER of `else_s`; as of `_choose`."""
-    r, blocks = plan.responses, _blocks(plan)
+    r, blocks = plan.responses, blocks_of(plan.scene.sensor.shape)
     band, many = r.crowd_band, len(r.blurs)
     sides = [min(n, BLOCK_PX) + 2.0 * core.radius_px for n in plan.scene.sensor.shape]
     if r.streaks.still or math.prod(sides) * (GRID_OVER * band) ** 2 > GRID_POINTS:
         return None
     to_e = _together_to_e(plan, core, low_e, streaks)
     served = [counts.between(low_e, e) for e in to_e]
+    if max(served) < 1.0:
+        return None
     fixed_s = SPECTRAL_S_PER_PIXEL * max(1.0, (band / USUAL_BAND) ** 2) * math.prod(sides)
     each_s = OWN_S + SPECTRAL_S * points_to(band, streaks)
-    together_s = blocks * many * fixed_s + min(4, many) * each_s * sum(served) / len(served)
+    together_s = many * (blocks * fixed_s + each_s * sum(served) / len(served))
     ways = [_Costs(plan, core, *one) for one in zip(streaks, to_e, strict=True)]
     rest_s, as_points, most = _one_by_one(core, ways, to_e, counts)
     if together_s + rest_s > CHEAPER * else_s:
         return None
     together_from = max(1, math.ceil(FEWER * max(served) / blocks))
     crowds_e = map(partial(_crowd_noise_e, plan, counts, core.radius_px), streaks, to_e)
-    made = replace(core, together_from=together_from, together_e=max(*to_e, *crowds_e))
+    finest = max(ways, key=lambda way: way.point_phases)
+    points = finest.point_phases * as_points
+    made = replace(
+        core,
+        fine_phases=0,
+        point_phases=points,
+        point_error=finest.point_error if points else 0.0,
+        together_from=together_from,
+        together_e=max(*to_e, *crowds_e),
+    )
     said = [f"about {max(served):.0f} stars with {_named(core)} together, along their own paths"]
-    said += _said_of_bright(core, 0.0, most, core.point_phases * as_points)
+    said += _said_of_bright(core, 0.0, most, points)
     return made, said, together_s + rest_s
 
 
@@ -188,7 +200,7 @@ def _together_to_e(
 ) -> list[float]:
     """Light up to which stars of a class are drawn together, for each of some streaks."""
     r = plan.responses
-    near = max(light_near(streak.path, core.radius_px)[0] for streak in streaks)
+    near = max(near_share(streak, core.radius_px) for streak in streaks)
     finest = SHARP_PEAK * (near * FINEST_ERROR + ROUNDING * EPSILON)
     most_e = min(core.brightest_e, r.budget_e / finest)
     return [max(low_e, min(most_e, together_e(r.streaks, [streak]))) for streak in streaks]
@@ -291,7 +303,7 @@ def _in_crowds(
     are counted, as the drawing does."""
     r = plan.responses
     stars = max(counts.between(0.0, split) for split in _splits(core, 0.0, streaks))
-    return 0 < r.spectral_from * _blocks(plan) <= stars
+    return 0 < r.spectral_from * blocks_of(plan.scene.sensor.shape) <= stars
 
 
 def _mean_s(
@@ -329,10 +341,6 @@ def _crowd_e(plan: ResolvedScene, counts: StarCounts, streaks: list[Streak]) -> 
     area = math.prod(plan.scene.sensor.shape)
     crowd_e = TOGETHER_SIGMA * math.sqrt(CROWD_PX * counts.each * float(faint @ faint) / area)
     return max(limit_e, crowd_e)
-
-
-def _blocks(plan: ResolvedScene) -> int:
-    return math.ceil(math.prod(plan.scene.sensor.shape) / BLOCK_PX**2)
 
 
 class _Costs:

@@ -145,7 +145,7 @@ def switches(stage: Stage, tiles: tuple[Tile, ...], windows: Sequence[Tile]) -> 
             "common_streak", partial(_own_paths, stage, plain), on=drawn_by(plain), one_by_one=True
         )
     if _in_crowds(stage, tiles):
-        yield from told("crowds_by_transforms", drawn_by(_apart(plan)))
+        yield from told("crowds_by_transforms", _apart(stage, plain))
     finer = drawn_by(_without_tables(_finer_wings(plan)))
     yield from told(
         "wings_on_a_coarse_grid",
@@ -167,10 +167,12 @@ def _lights(stage: Stage, windows: Sequence[Tile]) -> tuple[float, float]:
     return max(max(light, default=0.0) for light in near), max(map(sum, near))
 
 
-def _apart(plan: Plan) -> Plan:
-    """No stars drawn together."""
-    classes = tuple(replace(c, together_from=0) for c in plan.responses.classes)
-    return replace(plan, responses=replace(plan.responses, classes=classes, spectral_from=0))
+def _apart(stage: Stage, plain: Plan) -> Drawing:
+    """No stars drawn together: as stamps of the streaks in common, or along their own paths."""
+    r = stage.plan.responses
+    if any(core.together_from for core in r.classes):
+        return partial(_own_paths, stage, plain)
+    return partial(light_by, stage, replace(stage.plan, responses=replace(r, spectral_from=0)))
 
 
 def _without_tables(plan: Plan) -> Plan:

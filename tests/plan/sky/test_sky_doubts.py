@@ -21,7 +21,6 @@ from pipeline.plan.pointing import lamps
 from pipeline.plan.pointing.geometry import aimed
 from pipeline.plan.sky import doubts as of_sky
 from pipeline.plan.sky.doubts import Doubts, lacks_night, sky_doubts
-from pipeline.plan.sky.undrawn import UndrawnNight
 from pipeline.resolve.resolve import resolve
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
@@ -59,7 +58,7 @@ def doubts(scene: Scene) -> Doubts:
     facts = gather_facts(scene, response, 0.0, 5.0, 1.0)
     if not lacks_night(scene):
         return sky_doubts(scene, facts, response, 0.0)
-    night = UndrawnNight(scene, gather_undrawn(scene, response, None), 0.0)
+    night = gather_undrawn(scene, response, None, 0.0)
     return sky_doubts(scene, facts, response, 0.0, night)
 
 
