@@ -263,6 +263,11 @@ def test_crowds_of_a_wide_field_are_drawn_along_their_own_paths():
     words = {d.component: d.reason for d in many.decisions}
     assert "stars with cores of 4 px together, along their own paths" in words["star_engines"]
     assert f"where {core.together_from} stars or more with" in words["crowds_by_transforms"]
+    bright = chosen(wide, 800, (8.0, 14.0))  # transforms err where no table does, too
+    assert bright.responses.classes[0].phases == 0 < bright.responses.classes[0].together_from
+    for plan, errs in ((few, False), (many, True), (bright, True)):
+        [bound] = [d.error_bound_e for d in plan.decisions if d.component == "phase_interpolation"]
+        assert bool(bound) == errs
 
 
 def test_stars_are_paid_for_as_they_are_drawn():

@@ -84,7 +84,7 @@ class StarEngines:
     """The engines that were chosen for the stars.
 
     responses : with tables only where these are cheaper; ways : how stars are drawn, in words
-    tables : whether there are any of usual stars
+    tables : whether there are any of usual stars, or transforms of many in their place
     """
 
     responses: ResponsePlan
@@ -118,7 +118,7 @@ def choose_engines(plan: ResolvedScene, g: Geometry, counts: StarCounts) -> Star
     made = replace(r, classes=tuple(classes), stars_s=spent_s, expected=expected, around=around)
     if r.spectral_from:
         made = replace(made, crowd_e=_crowd_e(plan, counts, streaks))
-    drawn = r.spectral_from or r.products or any(c.phases for c in classes)
+    drawn = r.spectral_from or r.products or any(c.phases or c.together_from for c in classes)
     return StarEngines(made, tuple(said), bool(drawn))
 
 
