@@ -73,8 +73,10 @@ class LightBlock:
         """Which stars (n,) are in the block's own image already."""
         if self.crowd_e is None:
             return np.zeros(len(stars), bool)
-        own_e = np.array([*self.own_limits_e, 0.0])[class_of(plan, stars.light_e)]
         alike = (stars.light_e <= self.crowd_limit_e) & ~too_short(plan, stars, paths)
+        if not any(self.own_limits_e):
+            return alike
+        own_e = np.array([*self.own_limits_e, 0.0])[class_of(plan, stars.light_e)]
         return alike | (stars.light_e <= own_e)
 
 
@@ -160,11 +162,13 @@ def _crowds(
 ) -> tuple[NDArray[np.floating] | None, float, tuple[float, ...]]:
     """The stars of a block that are drawn together, and the light up to which those of the first
     core class are with common streaks, and those of each along their own paths."""
-    r, classes = plan.responses, class_of(plan, stars.light_e)
-    drawn, limits = list[NDArray[np.floating] | None](), [0.0] * len(r.classes)
-    for k, core in enumerate(r.classes):
-        mine = select(stars, classes == k)
-        if 0 < core.together_from <= len(mine):
+    cores = plan.responses.classes
+    drawn, limits = list[NDArray[np.floating] | None](), [0.0] * len(cores)
+    for k, core in enumerate(cores):
+        if not core.together_from:
+            continue
+        mine = select(stars, class_of(plan, stars.light_e) == k)
+        if len(mine) >= core.together_from:
             one, limits[k] = _own_crowd(plan, g, place, core, mine, paths)
             drawn.append(one)
     limit = 0.0

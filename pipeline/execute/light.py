@@ -52,7 +52,8 @@ def draw_stars(
     """Electrons of the stars in a tile: (rows, columns) float64, before the flat."""
     image = np.zeros((tile.rows, tile.columns))
     paths = streaks(plan, g)
-    reach, every = _core_reach(plan, g, paths), concatenate(parts, FrameStars)
+    moved, every = excursion_px(plan, g), concatenate(parts, FrameStars)
+    reach = _core_reach(plan, paths, moved)
     guard_stars(g, tile, every)
     stars = whole_stars(around(every, tile, reach))
     if not any(b.crowd_e is not None for b in blocks):
@@ -67,7 +68,7 @@ def draw_stars(
                 piece += _cut(block.crowd_e, block.place, part)
     beyond = class_of(plan, every.light_e) == len(plan.responses.classes)
     alone = select(every, beyond | (every.visible_fraction < 1.0))
-    far = around(alone, tile, plan.halo_px + excursion_px(plan, g))
+    far = around(alone, tile, plan.halo_px + moved)
     for star in setting_stars(plan, g, far):
         _draw_point(plan, image, tile, star)
     draw_along(plan, g, image, tile, whole_stars(far), paths)
@@ -363,11 +364,10 @@ def _add(image: Array, tile: Tile, stamp: tuple[int, int, Array], light_e: float
         image[top + r0 : top + r1, left + c0 : left + c1] += light_e * values[r0:r1, c0:c1]
 
 
-def _core_reach(plan: Plan, g: Geometry, paths: list[Streak]) -> float:
+def _core_reach(plan: Plan, paths: list[Streak], moved_px: float) -> float:
     """Farthest pixel that the largest core of a streaked star touches: those beside a wide field
-    move farther than those in the middle of its zones."""
-    sweep = max(_sweep(paths), excursion_px(plan, g))
-    return plan.responses.classes[-1].radius_px + sweep + 8.0
+    move farther (`moved_px`) than those in the middle of its zones."""
+    return plan.responses.classes[-1].radius_px + max(_sweep(paths), moved_px) + 8.0
 
 
 def _sweep(paths: list[Streak]) -> float:
