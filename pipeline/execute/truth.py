@@ -21,6 +21,7 @@ from pipeline.execute.sources import (
 )
 from pipeline.execute.tables import swept_core
 from pipeline.lazily import arrow
+from pipeline.physics.motion.points import in_fewer_points
 from pipeline.physics.motion.rolling import row_delay_s
 from pipeline.physics.motion.streak import Path, piece_counts, pieces
 from pipeline.physics.positions.apparent import proper_to_astrometric
@@ -298,11 +299,14 @@ def matched_snr(
     interpolated (error < 1e-3). Over a field, that of the responses around is interpolated, which
     is an upper bound.
     """
-    snr, floor_e2 = np.zeros(len(light_e)), plan.snr_floor_e2(frame, x_px, y_px)
-    for blur, which, share in plan.responses.parts(x_px, y_px, np.ones(len(light_e))):
-        snr[which] += share * _matched_snr(
-            plan, _response_at_centre(plan, blur, path, body), light_e[which], floor_e2[which]
-        )
+    snr, lit = np.zeros(len(light_e)), np.flatnonzero(plan.facts.flat * light_e > 0.0)
+    if not len(lit):
+        return snr
+    light, x, y = light_e[lit], x_px[lit], y_px[lit]
+    floor_e2 = plan.snr_floor_e2(frame, x, y)
+    for blur, which, share in plan.responses.parts(x, y, np.ones(len(lit))):
+        seen = _response_at_centre(plan, blur, path, body)
+        snr[lit[which]] += share * _matched_snr(plan, seen, light[which], floor_e2[which])
     return snr
 
 
@@ -322,19 +326,15 @@ def _matched_snr(
     light_e: Array,
     floor_e2: Array,
 ) -> Array:
-    """Signal-to-noise (n,) of sources, before noise of these variances.
+    """Signal-to-noise (n,) of sources that shine, before noise of these variances.
 
     seen : the values of one response's pixels, and how often each of them occurs
 
     That of light F before sigma0 is sigma0 times that of F / sigma0^2 before 1: one curve for all.
     """
     response, times = seen
-    lit = plan.facts.flat * light_e > 0.0
-    if not lit.any():
-        return np.zeros(len(light_e))
-    with np.errstate(divide="ignore"):
-        at = np.log(plan.facts.flat * np.maximum(light_e, 0.0) / floor_e2)
-    low, high = at[lit].min(), at[lit].max()
+    at = np.log(plan.facts.flat * light_e / floor_e2)
+    low, high = at.min(), at.max()
     grid = np.linspace(low, high, 128 if high > low else 1)
     snr = np.zeros(len(grid))
     rows = max(1, MOST_VALUES // max(1, response.size))
@@ -343,7 +343,7 @@ def _matched_snr(
         signal = np.exp(grid[part])[:, None] * response[None, :]
         own = signal if plan.scene.sensor.photon_noise else 0.0
         snr[part] = np.sqrt(np.sum(times * signal**2 / (1.0 + own), axis=1))
-    return np.where(lit, np.sqrt(floor_e2) * np.exp(np.interp(at, grid, np.log(snr))), 0.0)
+    return np.asarray(np.sqrt(floor_e2) * np.exp(np.interp(at, grid, np.log(snr))))
 
 
 def _response_at_centre(
@@ -355,7 +355,7 @@ def _response_at_centre(
     Of a path of more than MOST_PIECES pieces each different one is drawn once, by itself: their
     ends, where two of them share pixels, are a small part of it, and so is the size of a body.
     """
-    radius = plan.responses.usual_px
+    radius, path = plan.responses.usual_px, in_fewer_points(path, plan.responses.band)
     counts = piece_counts(path)
     if sum(count for *_, count in counts) > MOST_PIECES:
         values = [share * _kept(blur, radius, piece)[2] for piece, share, _ in counts]

@@ -12,6 +12,7 @@ from pipeline.arrays import Array, Geometry
 from pipeline.execute.sources import FrameTarget, place_targets
 from pipeline.execute.truth import lit_pixels, rows_and_columns, snr_of, world_of
 from pipeline.physics.constants import ARCSEC_RAD
+from pipeline.physics.motion.points import in_fewer_points
 from pipeline.physics.targets.disc import Appearance
 from pipeline.physics.vectors import to_angles
 from pipeline.plan.resolved import ResolvedScene
@@ -66,7 +67,8 @@ def _of_point(plan: ResolvedScene, target: FrameTarget, frame: int) -> tuple[Arr
     y, x = target.y_px, target.x_px
     blur = plan.responses.near(y, y, x, x)[0]
     shifts = ((0.0, 0.0), (STEP_PX, 0.0), (-STEP_PX, 0.0), (0.0, STEP_PX), (0.0, -STEP_PX))
-    images = [lit_pixels(plan, blur, target.path, *shift) for shift in shifts]
+    path = in_fewer_points(target.path, plan.responses.band)
+    images = [lit_pixels(plan, blur, path, *shift) for shift in shifts]
     places = np.unique(np.concatenate([place for place, _ in images]))
     p, right, left, up, down = (_spread(places, *image) for image in images)
     slopes = np.stack([right - left, up - down]) / (2.0 * STEP_PX)
