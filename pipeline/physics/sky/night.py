@@ -82,13 +82,14 @@ def airglow(band: NightBand, extinction: BandExtinction | None, sine: ArrayLike)
 
     A thin layer at 90 km: 1 / sqrt(1 - (R sin z / (R + h))^2) (van Rhijn 1921). Of the extinction a
     part f = 1.669 log10(X) - 0.146 of the scattering acts, X the layer's thickness on the path,
-    relative to that at the zenith (Noll et al. 2012, equations 23 and 24), and all absorption.
+    relative to that at the zenith (Noll et al. 2012, equations 23 and 24), and all absorption. Of
+    no more than all: the fit passes 1 some 8 degrees above the horizon.
     """
     s = np.clip(np.asarray(sine, float), 0.0, 1.0)
     layer = 1.0 / np.sqrt(1.0 - LAYER**2 * (1.0 - s * s))
     if extinction is None:
         return np.asarray(layer * band.airglow.sum())
-    part = (1.669 * np.log10(layer) - 0.146)[..., None]
+    part = np.minimum(1.669 * np.log10(layer) - 0.146, 1.0)[..., None]
     mass = air_mass(s)[..., None]
     more = extinction.scattered_mag * (part * mass + 0.146)
     more = more + extinction.absorbed_mag * (mass - 1.0)
