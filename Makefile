@@ -14,12 +14,14 @@ COMPILE = $(BIN)/python -W ignore -m compileall -qq -j 0 $(VENV)/lib || true
 demo: $(VENV)/.runtime
 	$(BIN)/nightglass demo -o demo --replace
 
+# Types are checked beside the tests, as that takes one core for long.
 test: $(VENV)/.tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check $(PACKAGES)
-	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/mypy & types=$$!; \
+	$(BIN)/pytest -m "not slow" -n 3 --dist loadfile --no-loadscope-reorder; tests=$$?; \
+	wait $$types && exit $$tests
 
 test-slow: $(VENV)/.tests
 	$(BIN)/pytest -m slow --hypothesis-profile search
