@@ -168,7 +168,7 @@ def _place_rule(x, y, weight, light, first, last, t, w, out):
         out[2, i] = 0.5 * w[i] * of_run
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _off_run(x, y, weight, first, last, points, band):
     """Largest difference of the transfer functions of segments and of points for them, at the band
     in DIRECTIONS."""
