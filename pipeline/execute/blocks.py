@@ -32,7 +32,7 @@ from pipeline.physics.drawing.quadrature import affordable
 from pipeline.physics.drawing.spectral import Sources, draw_points, draw_spectral
 from pipeline.physics.drawing.spectral_plan import brightest_for
 from pipeline.physics.drawing.wings import WingGrid, convolve, spread, wing_grid
-from pipeline.physics.motion.points import points_of_many
+from pipeline.physics.motion.points import points_of_many, points_per_px
 from pipeline.physics.motion.streak import POINT, Path, within
 from pipeline.physics.psf.pupil import Blur
 from pipeline.plan.accuracy import UNSEEN, crowd_error_e
@@ -215,17 +215,36 @@ def _along_own(
 ) -> Iterator[tuple[Array, Array, Array]]:
     """x, y [px] and light [e-] of stars as about so many points each, of some stars at a time:
     their part in one response, for waves up to a band [cycles/px]."""
-    aberration = plan.scene.star_effects["aberration"]
+    aberration, changes = plan.scene.star_effects["aberration"], plan.responses.streaks.light
     at_once = max(1, POINTS_AT_ONCE // max(points, g.nodes))
     for first in range(0, len(stars), at_once):
         some = slice(first, first + at_once)
         x, y, light = (v[some, None] for v in (stars.x_px, stars.y_px, stars.light_e))
-        offsets = star_offsets(plan.camera, g, x[:, 0], y[:, 0], aberration)[:, :, 0]
-        (along_x, along_y), share = points_of_many(offsets, min(band, plan.responses.band))
-        places = (x + along_x).ravel(), (y + along_y).ravel()
-        for one, which, part_e in plan.responses.parts(*places, (light * share).ravel()):
-            if one == blur:
-                yield places[0][which], places[1][which], part_e
+        offsets = star_offsets(plan.camera, g, x[:, 0], y[:, 0], aberration, changes)[:, :, 0]
+        for alike in _as_fast(offsets, points_per_px(band)):
+            paths = offsets[:, alike]
+            (along_x, along_y), share = points_of_many(paths, min(band, plan.responses.band))
+            places = (x[alike] + along_x).ravel(), (y[alike] + along_y).ravel()
+            light_e = (light[alike] * share).ravel()
+            for one, which, part_e in plan.responses.parts(*places, light_e):
+                if one == blur:
+                    yield places[0][which], places[1][which], part_e
+
+
+def _as_fast(offsets: Array, per_px: float) -> Iterator[slice | NDArray[np.intp]]:
+    """Which of the stars of offsets (2, n, K) are worked out together, as so many points a px of
+    the fastest: all, or few of those that are much faster, as beside a very wide field."""
+    steps = offsets.shape[-1] - 1
+    wanted = 1.0 + per_px * steps * np.hypot(*np.diff(offsets, axis=-1)).max(axis=-1)
+    if len(wanted) * wanted.max() <= 2.0 * POINTS_AT_ONCE:
+        yield slice(None)
+        return
+    order = np.argsort(wanted, kind="stable")
+    while len(order):
+        held = wanted[order] * np.arange(1, len(order) + 1) <= POINTS_AT_ONCE
+        count = max(1, int(np.count_nonzero(held)))
+        yield order[:count]
+        order = order[count:]
 
 
 def _crowd(

@@ -323,7 +323,8 @@ def _star_groups(
     some = np.argsort(-near.light_e, kind="stable")[:MOST_FOLLOWED]
     x, y, light = near.x_px[some], near.y_px[some], near.light_e[some]
     places = np.append(x, middle[0]), np.append(y, middle[1])
-    offsets = star_offsets(plan.camera, g, *places, aberration)[:, :, 0]
+    changes = plan.responses.streaks.light
+    offsets = star_offsets(plan.camera, g, *places, aberration, changes)[:, :, 0]
     offsets, common = offsets[:, :-1], offsets[:, -1:]
     off_px = np.hypot(*(offsets - common)).max(axis=1)
     to_middle = np.stack([middle[0] - x, middle[1] - y])[..., None]

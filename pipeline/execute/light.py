@@ -194,7 +194,7 @@ def draw_along(
         common = streak.path
         merge = plan.merged_px(light, densest_share(common.x_px, common.y_px, common.weight))
         places = streak.zone, streak.followed, off_px, x, y
-        own = own_paths(plan.camera, g, *places, merge, aberration)
+        own = own_paths(plan.camera, g, *places, merge, aberration, along.light)
         for i, path in enumerate(own):
             place = float(x[i]), float(y[i]), float(light[i])
             k, reach_px = int(classes[mine[i]]), plan.responses.fades_px

@@ -18,7 +18,7 @@ from pipeline.physics.targets.disc import Appearance, Sphere, photocentre_offset
 from pipeline.physics.targets.off_axis import OffAxis, Perspective
 from pipeline.physics.vectors import from_angles, to_angles
 from pipeline.plan.bodies.sizes import limb_px
-from pipeline.plan.optics.pupil import pupil_along, pupil_fraction
+from pipeline.plan.optics.pupil import mean_pupil_fraction, pupil_along, pupil_fraction
 from pipeline.plan.pointing.air import path_transmission, star_transmission
 from pipeline.plan.pointing.occultation import seen_fraction, stars_clear, visible_path
 from pipeline.plan.pointing.star_paths import excursions_px, rolled_stars
@@ -101,16 +101,21 @@ def place_stars(
     visible = seen_fraction(plan.scene, plan.camera, g, proper[which], y, reach)
     guard_some(plan, g, x, y, observed, kept.source_id)
     light = kept.rate_e_s * plan.integration_s(int(g.frame[0]))
-    light = light * pupil_fraction(plan.scene, plan.camera, x, y)
+    if plan.responses.streaks.light is None:
+        light = light * pupil_fraction(plan.scene, plan.camera, x, y)
+    else:
+        light = light * mean_pupil_fraction(plan.scene, g, observed)
     if plan.camera.line_s:
         light = light * longer[which]
-    if plan.extinction is not None:
+    lit = visible
+    if plan.extinction is not None:  # which lets nothing through from below the horizon
         light = light * star_transmission(plan.extinction, plan.camera, g, observed)
+        lit = np.ceil(visible)
     return FrameStars(
         kept.source_id,
         x,
         y,
-        light * visible,
+        light * lit,
         ra,
         dec,
         kept.g_mag,
@@ -146,10 +151,13 @@ def _setting_star(plan: ResolvedScene, g: Geometry, stars: FrameStars, index: in
     )
     clear = stars_clear(plan.scene, plan.camera, g, proper, star.y_px)[0]
     x, y = star_offsets(plan.camera, g, star.x_px, star.y_px, effects["aberration"])[:, 0, 0]
+    changes, light = plan.responses.streaks.light, np.ones(g.nodes)
+    if changes is not None:
+        light = changes.along(g, star.x_px, star.y_px)[0, 0]
     front = np.ones(g.nodes - 1, bool)
     whole_e = float(star.light_e[0] / star.visible_fraction[0])  # of the whole exposure
     merge_px = _merge_px(plan, np.full(g.nodes - 1, whole_e / (g.nodes - 1)), x, y)
-    path, _ = visible_path(x, y, np.ones(g.nodes), clear, front, merge_px)
+    path, _ = visible_path(x, y, light, clear, front, merge_px)
     place = float(star.x_px[0]), float(star.y_px[0])
     return FrameTarget(index, *place, path, float(star.light_e[0]))
 

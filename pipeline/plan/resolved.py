@@ -157,7 +157,7 @@ def resolved_scene(
 ) -> ResolvedScene:
     """A scene with its camera and responses; g : geometry of some of its frames."""
     camera = camera_of(scene)
-    responses = plan_responses(scene, facts, camera, g)
+    responses = plan_responses(scene, facts, camera, g, extinction=extinction)
     return ResolvedScene(
         scene, camera, facts, responses, colour, sun_rate_e_s_m2, dut1_s, sky, extinction
     )

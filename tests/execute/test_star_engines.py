@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.arrays import FrameStars
+from pipeline.execute.blocks import POINTS_AT_ONCE, _as_fast
 from pipeline.execute.light import _draw_points, draw_stars
 from pipeline.execute.sources import streaks
 from pipeline.execute.tables import swept_core
@@ -367,3 +368,16 @@ def test_of_two_stars_too_bright_for_all_classes_one_crosses_the_frame() -> None
     )
     assert 0.0 < none < one < both
     assert one == pytest.approx(0.5 * (none + both))
+
+
+def test_stars_far_faster_than_others_are_followed_apart():
+    """Else each of a thousand would be as many points as the fastest: 20 GB beside a wide field."""
+    length_px = np.random.default_rng(4).permutation(np.geomspace(10.0, 3e6, 1000))
+    offsets = np.linspace(-0.5, 0.5, 9) * length_px[:, None] * np.array([0.6, 0.8])[:, None, None]
+    parts = [np.arange(1000)[some] for some in _as_fast(offsets, 1.3)]
+    assert np.array_equal(np.sort(np.concatenate(parts)), np.arange(1000))
+    for some in parts:
+        assert len(some) == 1 or len(some) * 1.3 * length_px[some].max() <= POINTS_AT_ONCE
+    assert len(parts) < 400  # a third of them are as many points by themselves
+    [alike] = _as_fast(offsets[:, length_px < 200.0], 1.3)
+    assert alike == slice(None)

@@ -34,7 +34,7 @@ def _distortion(basis: PlanBasis) -> list[Decision]:
 
 
 def _pupil(basis: PlanBasis) -> list[Decision]:
-    """The projected pupil, its size, and what taking it at mid-exposure errs by."""
+    """The projected pupil, its size, and what taking it at mid-exposure errs by, where it is."""
     scene, camera = basis.scene, basis.resolved.camera
     lost = 1.0 - float(np.cos(corner_radius(camera)))
     size = f"a corner of the frame receives {lost:.2g} less than its middle"
@@ -43,11 +43,14 @@ def _pupil(basis: PlanBasis) -> list[Decision]:
         why = "flat is an image, which holds it" if isinstance(flat, str) else "switched off"
         reason = f"{why} (sensor.pupil_projection): {size}, by its cosine off axis"
         return [Decision("pupil_projection", False, reason, bound=lost, unit="of the light")]
+    along = basis.resolved.responses.streaks.light is not None
     reason = (
         f"light is dimmed by the cosine of its angle off axis: {size}; not the stray light, which "
-        "reaches the focal plane otherwise. Of a star that streaks, at mid-exposure"
+        "reaches the focal plane otherwise. Of a star that streaks, "
+        + ("all along its path" if along else "at mid-exposure")
     )
-    off = _changes(scene, camera, basis.frames) if scene.stars is not None else 0.0
+    at_middle = scene.stars is not None and not along
+    off = _changes(scene, camera, basis.frames) if at_middle else 0.0
     return [Decision("pupil_projection", True, reason, bound=off, unit="of a source's light")]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.arrays import Geometry
 from pipeline.physics.positions.focal_plane import Camera, off_axis_cosine
 from pipeline.spec.scene import Scene
 
@@ -22,6 +23,15 @@ def pupil_fraction(scene: Scene, camera: Camera, x_px: Array, y_px: Array) -> Ar
     if not scene.sensor.pupil_projection:
         return np.ones(np.shape(x_px))
     return off_axis_cosine(camera, x_px, y_px)
+
+
+def mean_pupil_fraction(scene: Scene, g: Geometry, observed: Array) -> Array:
+    """Mean fraction (n,) of the one exposure of `g`, of stars seen in directions (n, 3)."""
+    if not scene.sensor.pupil_projection:
+        return np.ones(len(observed))
+    axis = g.attitude[0, :, 2]
+    mean = 0.5 * (axis[1:] + axis[:-1]).mean(axis=0)
+    return np.maximum(observed @ mean, 0.0)
 
 
 def pupil_along(scene: Scene, camera: Camera, offset_s: Array, x_px: Array, y_px: Array) -> Array:

@@ -10,6 +10,7 @@ from pipeline.arrays import Array, Geometry
 from pipeline.errors import BadInput
 from pipeline.physics.motion.streak import Path, curve_through
 from pipeline.physics.positions.focal_plane import Camera
+from pipeline.plan.pointing.star_light import ChangingLight
 from pipeline.plan.pointing.star_paths import star_paths
 from pipeline.plan.response.zones import Zone, biquadratic
 
@@ -18,8 +19,19 @@ FINEST_MERGE_PX = 1e-12  # of the brightest: places are rounded to about that
 TOGETHER = 1000  # stars whose paths are worked out in one go
 
 
-def star_offsets(camera: Camera, g: Geometry, x: Array, y: Array, aberration: bool) -> Array:
-    """(2, n, F, K) paths of the stars at (x, y) relative to their places at mid-exposure."""
+def star_offsets(
+    camera: Camera,
+    g: Geometry,
+    x: Array,
+    y: Array,
+    aberration: bool,
+    light: ChangingLight | None = None,
+) -> Array:
+    """(2, n, F, K) paths of the stars at (x, y) relative to their places at mid-exposure.
+
+    At the nodes of `g`, or, where their light changes, at more steps of equal light: so that what
+    lies evenly along a path is its star's light.
+    """
     paths = star_paths(camera, g, x, y, aberration)
     if not np.isfinite(paths).all():
         raise BadInput(
@@ -27,7 +39,8 @@ def star_offsets(camera: Camera, g: Geometry, x: Array, y: Array, aberration: bo
             "a boresight that turns away from its field in one exposure",
             "a shorter exposure or a slower pointing",
         )
-    return paths - paths[..., [g.middle]]
+    offsets = paths - paths[..., [g.middle]]
+    return offsets if light is None else light.at_equal_light(g, x, y, offsets)
 
 
 def exact_path(camera: Camera, g: Geometry, x: float, y: float, aberration: bool) -> Path:
@@ -43,20 +56,21 @@ def exact_paths(
     y_px: Array,
     aberration: bool,
     merge_px: Array | float = EXACT_MERGE_PX,
+    light: ChangingLight | None = None,
 ) -> Iterator[Path]:
     """The same of many stars (n,), worked out together: each as by itself, to the last bit.
 
-    merge_px : (n,), or of all: as of `paths_through`
+    merge_px : (n,), or of all: as of `paths_through`; light : as of `star_offsets`
     """
     merge_px = np.broadcast_to(merge_px, x_px.shape)
     for first in range(0, len(x_px), TOGETHER):
         some = slice(first, first + TOGETHER)
-        offsets = star_offsets(camera, g, x_px[some], y_px[some], aberration)[:, :, 0]
+        offsets = star_offsets(camera, g, x_px[some], y_px[some], aberration, light)[:, :, 0]
         yield from paths_through(offsets, merge_px[some])
 
 
 def paths_through(offsets: Array, merge_px: Array) -> Iterator[Path]:
-    """Paths of stars through offsets (2, n, K) at equal times; merge_px : (n,) how far the nodes
+    """Paths of stars through offsets (2, n, K) at equal steps; merge_px : (n,) how far the nodes
     of straight runs that become one segment may be off."""
     steps = offsets.shape[2] - 1
     weight = np.full(steps, 1.0 / steps)
@@ -74,6 +88,7 @@ def own_paths(
     y_px: Array,
     merge_px: Array,
     aberration: bool,
+    light: ChangingLight | None = None,
 ) -> list[Path]:
     """The path of each of the stars (n,) of a zone in the one frame of `g`.
 
@@ -91,5 +106,5 @@ def own_paths(
     places = np.array([biquadratic(table, u, v) for table in followed])
     between = paths_through(places.transpose(1, 2, 0)[:, near], merge_px[near])
     finer_px = np.minimum(merge_px[~near], EXACT_MERGE_PX)
-    exact = exact_paths(camera, g, x_px[~near], y_px[~near], aberration, finer_px)
+    exact = exact_paths(camera, g, x_px[~near], y_px[~near], aberration, finer_px, light)
     return [next(between if inside else exact) for inside in near]

@@ -33,12 +33,14 @@ from pipeline.plan.optics.optics import (
     check_scale,
     missing_light,
 )
+from pipeline.plan.pointing.star_light import star_light
 from pipeline.plan.response.streaks import StreakPlan, plan_streaks, resting, zone_streak
 from pipeline.plan.response.wing_sweeps import WingSweeps, wing_sweeps
 from pipeline.plan.tiles import BLOCK_PX
 from pipeline.spec.scene import Scene
 
 if TYPE_CHECKING:
+    from pipeline.physics.sky.extinction import BandExtinction
     from pipeline.plan.optics.psf_field import PsfField
 
 Cores = tuple[tuple[float, float, float], ...]  # radius [px], brightest [e-], wing's error
@@ -205,11 +207,16 @@ def first_above(light_e: Array, limits: Sequence[float]) -> NDArray[np.intp]:
 
 
 def plan_responses(
-    scene: Scene, facts: Facts, camera: Camera, ends: Geometry, sources: bool = False
+    scene: Scene,
+    facts: Facts,
+    camera: Camera,
+    ends: Geometry,
+    sources: bool = False,
+    extinction: BandExtinction | None = None,
 ) -> ResponsePlan:
     """Choose radii, phases, grid and zones for a scene from some of its frames (`ends`).
 
-    sources : there are some, even if the scene does not hold them yet.
+    sources : there are some, even if the scene does not hold them yet; extinction : of a site's air
 
     A field's responses share radii, grid and reach: those that the worst of them asks for.
     """
@@ -217,7 +224,7 @@ def plan_responses(
     if not (scene.stars or scene.targets or sources):
         return none
     blurs = none.blurs
-    path, streaks = _star_streaks(scene, facts, camera, ends, blurs)
+    path, streaks = _star_streaks(scene, facts, camera, ends, blurs, extinction)
     shape, length = scene.sensor.shape, 0.5 * streaks.longest_px
     longest = Path(np.array([-length, length]), np.zeros(2), np.ones(1))
     served, targets_served = (all(affordable(b, p, shape) for b in blurs) for p in (longest, POINT))
@@ -267,7 +274,8 @@ def _with_wings(
     reach = _farther(blurs, max(reach / CUT_FROM, 2.0 * first), facts)
     swept, sweeps = path, None
     if not streaks.still:
-        sweeps = wing_sweeps(camera, ends, streaks.zones, scene.star_effects["aberration"])
+        aberration = scene.star_effects["aberration"]
+        sweeps = wing_sweeps(camera, ends, streaks.zones, aberration, streaks.light)
         if sweeps.slowest_px < HARDLY * streaks.pieces * path.length_px:
             swept = POINT  # somewhere, as where the field turns about, stars stand still
     light = facts.budget_e, facts.brightest_e
@@ -301,16 +309,21 @@ def _without_wings(
 
 
 def _star_streaks(
-    scene: Scene, facts: Facts, camera: Camera, ends: Geometry, blurs: tuple[Blur, ...]
+    scene: Scene,
+    facts: Facts,
+    camera: Camera,
+    ends: Geometry,
+    blurs: tuple[Blur, ...],
+    extinction: BandExtinction | None,
 ) -> tuple[Path, StreakPlan]:
     """The shortest piece of the stars' streaks, and how they are drawn; at rest without stars."""
     if scene.stars is None:
         return POINT, replace(STILL, photons=scene.sensor.photon_noise)
     asked, aberration = scene.accuracy.noise_fraction, scene.star_effects["aberration"]
     floor_e = facts.budget_e / part_sigma(scene)  # that the budget is made for
-    streaks = plan_streaks(
-        camera, ends, aberration, asked, floor_e, facts.budget_e, scene.sensor.photon_noise
-    )
+    noise = asked, floor_e, facts.budget_e, scene.sensor.photon_noise
+    light = star_light(scene, camera, extinction)
+    streaks = plan_streaks(camera, ends, aberration, *noise, facts.brightest_e, light)
     if streaks.still and streaks.longest_px:
         measures = ([measure(b) for b in blurs] for measure in (point_curvature, point_slope))
         streaks = resting(streaks, *map(max, measures))

@@ -25,6 +25,7 @@ from pipeline.physics.motion.streak import (
     path_through,
 )
 from pipeline.physics.positions.focal_plane import Camera, ifov_rad
+from pipeline.plan.pointing.star_light import ChangingLight, left_px, steps_for
 from pipeline.plan.response.own_paths import FINEST_MERGE_PX, exact_path, star_offsets
 from pipeline.plan.response.zones import CHECKS, NODES, Zone, biquadratic, lagrange, zone_of_frame
 from pipeline.spec.scene import CELL_PX, USUAL_FRACTION
@@ -51,6 +52,8 @@ MOST_NODES = 17  # by which the length of a star's streak is taken
 SLACK = 1.5  # over what the plan knows of some frames: what others may differ or be longer by
 SHOWN = 0.02  # of the budget: what merging the nodes of own paths may err by
 POINTS = 0.25  # and what the table of the points may, that such paths are drawn as
+EVEN = 0.1  # of a tolerance: what light that changes may be off between steps of equal light
+UNKNOWN_E = 1e12  # of the brightest star, where it is not known
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,8 @@ class Streak:
     """How the stars of a zone move in one frame.
 
     path : of the star in the middle of the zone, from its place at mid-exposure
-    followed : (K, 2, 3, 3) places at equal times of stars at the zone's NODES, from mid-exposure
+    followed : (K, 2, 3, 3) places at equal steps of time, or of light where that changes, of stars
+        at the zone's NODES, from mid-exposure
     own_from_e : stars of more light are drawn along their own path
     uneven : streaks of some stars may be shorter than that in the middle by more than SLACK, as
         around the centre of a turn: what is bright depends on each one's own length
@@ -131,6 +135,8 @@ class StreakPlan:
     photons : light has noise of its own, so that a pixel with more of it may err by more
     at_rest : what a pixel errs by of a star's light where every shape is a point
     shortest_px : of all streaks; tolerance_px : what `spread_px` may be
+    light : what changes the light along them, None where it is even; light_px : how far that is
+        off between its steps
     finer : the same in more pieces, for brighter stars; None where that leaves no less
     """
 
@@ -150,6 +156,8 @@ class StreakPlan:
     at_rest: float = math.inf
     shortest_px: float = 0.0
     tolerance_px: float = SPREAD_TOLERANCE_PX
+    light: ChangingLight | None = None
+    light_px: float = 0.0
     finer: StreakPlan | None = None
 
     @property
@@ -163,7 +171,7 @@ class StreakPlan:
 
         A pixel errs by at most that part of the light of a px of path.
         """
-        apart = min(self.spread_px + self.rounding_px, self.longest_px)
+        apart = min(self.spread_px + self.rounding_px + self.light_px, self.longest_px)
         return min(apart, self.at_rest)
 
     @property
@@ -213,19 +221,25 @@ def plan_streaks(
     floor_e: float = 1.0,
     budget_e: float = math.inf,
     photons: bool = True,
+    brightest_e: float = UNKNOWN_E,
+    light: ChangingLight | None = None,
 ) -> StreakPlan:
     """Fewest zones, then fewest pieces, whose stars streak alike.
 
     They do to SPREAD_TOLERANCE_PX at the usual accuracy; a finer one makes all tolerances finer.
     floor_e : noise of a pixel without sources; budget_e : what streaks may err by there. A pixel
     with more light may err by as much more as it has noise. photons : see `StreakPlan`.
+    brightest_e : light of the brightest star; light : what changes that of stars, if anything
     """
     finer = 2.0 ** min(0.0, max(-8.0, math.floor(math.log2(noise_fraction / USUAL_FRACTION))))
     tolerance = SPREAD_TOLERANCE_PX * finer
     most = max(1, math.ceil(max(camera.rows, camera.columns) / CELL_PX))
-    zones = 1
+    zones, light_px = 1, 0.0
+    if light is not None:
+        noise = floor_e, budget_e, photons
+        light, light_px = _uneven(light, camera, ends, aberration, brightest_e, noise, tolerance)
     while True:
-        offsets = _followed(camera, ends, zones, aberration)
+        offsets = _followed(camera, ends, zones, aberration, light)
         lengths = np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1)
         longest = float(lengths.max())
         fewest = _power_of_two(longest / LONGEST_PIECE_PX)
@@ -252,12 +266,39 @@ def plan_streaks(
                 photons,
                 shortest_px=float(lengths.min()),
                 tolerance_px=tolerance,
+                light=light,
+                light_px=light_px,
             )
             if not made.off_px:
                 return made
             made = replace(made, own_from_e_px=light_from(made.off_px, made))
             return replace(made, finer=_finer(made, offsets))
         zones = min(2 * zones, most)
+
+
+def _uneven(
+    light: ChangingLight,
+    camera: Camera,
+    ends: Geometry,
+    aberration: bool,
+    brightest_e: float,
+    noise: tuple[float, float, bool],
+    tolerance_px: float,
+) -> tuple[ChangingLight | None, float]:
+    """Light that changes along streaks with the steps that this takes, and how far off they leave
+    it; None where even light is off by no more than merging nodes may be for the brightest star.
+
+    noise : as the last of `merged_px`
+    """
+    even, at_equal = (_followed(camera, ends, 1, aberration, of) for of in (None, light))
+    moved_px = float(np.hypot(*(at_equal - even)).max())
+    longest_px = float(np.hypot(*np.diff(even, axis=-1)).sum(axis=-1).max())
+    brightest = np.array(brightest_e or UNKNOWN_E)
+    if moved_px <= merged_px(brightest, 1.0 / max(longest_px, 1.0), *noise):
+        return None, 0.0
+    steps = steps_for(moved_px, EVEN * tolerance_px, ends.nodes)
+    steps = max(steps, math.ceil((MOST_NODES - 1) / (ends.nodes - 1)))
+    return replace(light, steps=steps), left_px(moved_px, steps, ends.nodes)
 
 
 def _finer(plan: StreakPlan, offsets: Array) -> StreakPlan | None:
@@ -347,7 +388,9 @@ def _power_of_two(n: float) -> int:
     return int(2 ** max(0, math.ceil(math.log2(max(n, 1.0)))))
 
 
-def _followed(camera: Camera, g: Geometry, zones: int, aberration: bool) -> Array:
+def _followed(
+    camera: Camera, g: Geometry, zones: int, aberration: bool, light: ChangingLight | None = None
+) -> Array:
     """(2, zones looked at, points, frames, nodes) offsets of stars from mid-exposure.
 
     Points are the 3 x 3 NODES and the 4 x 4 CHECKS of the zones in the frame's corners, edges and
@@ -357,7 +400,7 @@ def _followed(camera: Camera, g: Geometry, zones: int, aberration: bool) -> Arra
     u, v = (np.concatenate([np.meshgrid(a, a)[k].ravel() for a in (NODES, CHECKS)]) for k in (0, 1))
     places = [zone_of_frame(camera, r, c, zones).places(u, v) for r in looked_at for c in looked_at]
     x, y = np.concatenate([p[0] for p in places]), np.concatenate([p[1] for p in places])
-    offsets = star_offsets(camera, g, x, y, aberration)
+    offsets = star_offsets(camera, g, x, y, aberration, light)
     return offsets.reshape(2, len(places), u.size, *offsets.shape[2:])
 
 
@@ -433,7 +476,7 @@ def zone_streak(
     """The common streak of a zone's stars in the one frame of `g`."""
     zone = zone_of_frame(camera, row, column, plan.zones)
     u, v = (m.ravel() for m in np.meshgrid(NODES, NODES))
-    offsets = star_offsets(camera, g, *zone.places(u, v), aberration)[:, :, 0]
+    offsets = star_offsets(camera, g, *zone.places(u, v), aberration, plan.light)[:, :, 0]
     middle = NODES.size**2 // 2
     longest = float(np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1).max())
     count = max(plan.pieces, _power_of_two(longest / LONGEST_PIECE_PX))  # this frame may be faster

@@ -9,6 +9,7 @@ import numpy as np
 from pipeline.arrays import Array, Geometry
 from pipeline.physics.motion.streak import Path, path_through
 from pipeline.physics.positions.focal_plane import Camera
+from pipeline.plan.pointing.star_light import ChangingLight
 from pipeline.plan.response.own_paths import star_offsets
 from pipeline.plan.response.zones import zone_of_frame
 from pipeline.plan.tiles import BLOCK_PX, Tile, cut_up
@@ -34,8 +35,10 @@ class WingSweeps:
     pairs: tuple[tuple[Path, Path], ...]
 
 
-def wing_sweeps(camera: Camera, g: Geometry, zones: int, aberration: bool) -> WingSweeps:
-    """Look at places all over each block, in the frames of `g`.
+def wing_sweeps(
+    camera: Camera, g: Geometry, zones: int, aberration: bool, light: ChangingLight | None = None
+) -> WingSweeps:
+    """Look at places all over each block, in the frames of `g`; light : as of `star_offsets`.
 
     zones : per axis; a block's wings are swept as stars move in the middle of its middle's zone
     """
@@ -45,7 +48,7 @@ def wing_sweeps(camera: Camera, g: Geometry, zones: int, aberration: bool) -> Wi
         some = blocks[start : start + AT_ONCE]
         places = [_places(camera, block, zones) for block in some]
         x, y = (np.concatenate([place[k] for place in places]) for k in (0, 1))
-        offsets = star_offsets(camera, g, x, y, aberration)
+        offsets = star_offsets(camera, g, x, y, aberration, light)
         offsets = offsets.reshape(2, len(some), -1, *offsets.shape[2:])  # (2, b, places, frames, K)
         length = np.hypot(*np.diff(offsets, axis=-1)).sum(axis=-1)
         apart = np.hypot(*(offsets - offsets[:, :, -1:])).mean(axis=-1)
