@@ -144,6 +144,15 @@ def test_settling_as_fast_as_the_nodes(frequency_hz: float) -> None:
     assert np.ptp(plan_geometry(made, np.array([0]), 0.0).target_x_px) < 0.1
 
 
+@pytest.mark.parametrize("slew_s", [1.0, 600.0])
+def test_settling_begins_at_the_end_of_a_slew_however_long(slew_s: float) -> None:
+    """In a second after it two thirds of the amplitude are left; half a minute later, nothing."""
+    settle = {"amplitude_arcsec": PX_ARCSEC, "frequency_hz": 8.0, "damping": 0.01}
+    second = {"frames": 2, "cadence_s": 30.0, "slew": {"duration_s": slew_s}, "settle": settle}
+    made = scene(dwells=[{"frames": 1}, second], pointing=TRACKED)
+    assert asked(made, np.array([1, 2])).tolist() == [257, 9]  # 32 a turn
+
+
 def test_a_bump_in_a_table_of_attitudes() -> None:
     """Three rows of a table, in a thirtieth of the exposure, of 3 px."""
     still = scene(pointing=TRACKED)
