@@ -220,6 +220,17 @@ def test_rows_and_turns_are_looked_at_where_they_are() -> None:
         assert (asked(turning, frames[::20], near=False) == 9).all()
 
 
+@pytest.mark.parametrize(("at_s", "many"), [(-0.9, 9), (0.6, 513), (0.9, 513), (1.5, 9)])
+def test_rows_of_a_table_count_until_the_last_row_is_exposed(at_s: float, many: int) -> None:
+    """The first row is exposed for a tenth of a second, the last almost a second later."""
+    readout = {"detector": {"readout": {"kind": "rolling", "line_s": 1.0 / 64.0}}}
+    curve = {"kind": "light_curve", "times_s": [-99.0, at_s, at_s + 0.01, 99.0]}
+    body = curve | {"magnitudes": [5.0, 5.0, 9.0, 9.0]}
+    sensor = SCENE["sensor"] | readout
+    made = scene(body, sensor=sensor, exposure={"integration_s": 0.1})
+    assert asked(made, np.zeros(1, int)).tolist() == [many]
+
+
 def test_what_is_too_fast_to_be_looked_at_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(changes, "MOST_FINE", 2**13)  # a sixteenth: looked at 2,048 times at most
     spin = {"kind": "spin", "axis": [0.0, 0.0, 1.0]}
