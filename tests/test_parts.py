@@ -17,13 +17,13 @@ from unittest.mock import Mock
 import pytest
 import xarray as xr
 
-from pipeline.errors import BadInput, DiskFull, Incomplete, TryLater
+from pipeline.errors import BadInput, DiskFull, Incomplete, NightglassError, TryLater
 from pipeline.route import run
 from pipeline.route.run import Options, join, render
 from pipeline.route.shares import Share, parse_part
 from pipeline.spec.load import parse_scene
 from pipeline.store import layout
-from pipeline.store.product import check, content_digest
+from pipeline.store.product import check, content_digest, is_begun
 from tests.command import nightglass
 
 SCENE = {
@@ -161,6 +161,19 @@ def test_a_part_that_cannot_begin_names_the_product_and_leaves_nothing(tmp_path,
             part(tmp_path / "run")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
     assert not part(tmp_path / ("r" * 255))["complete"]
+
+
+def test_a_part_that_fails_before_any_tile_leaves_what_others_may_be_drawing(tmp_path, monkeypatch):
+    """The product stands, as another part may be at its first tile; a whole render's goes."""
+    scene, drawing = parse_scene(SCENE), Options("synchronous")
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "draw", Mock(side_effect=NightglassError("no light")))
+        for name, share in (("parts", Share(1, 18)), ("whole", None)):
+            with pytest.raises(NightglassError, match="no light"):
+                render(scene, tmp_path / name, drawing, share=share)
+    assert [path.name for path in tmp_path.iterdir()] == ["parts"]
+    assert is_begun(tmp_path / "parts")
+    assert not render(scene, tmp_path / "parts", drawing, share=Share(2, 18))["complete"]
 
 
 def test_a_part_that_ends_last_and_a_join_tell_programs_the_report(tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.execute.mesh_bodies import Pose, picture_of
+from pipeline.execute.mesh_bodies import Pose, picture_of, spread_of
 from pipeline.execute.sources import place_targets
 from pipeline.inputs.targets.meshes import gather_mesh
 from pipeline.physics.drawing.pictures import cell_error
@@ -201,3 +201,21 @@ def test_a_sphere_a_mesh_and_another_share_the_accuracy_and_have_their_own_windo
     for name in "ft":
         assert widths(together[name]) == pytest.approx(widths(windows(name)[name]), rel=0.02)
     assert widths(together["f"]) != pytest.approx(widths(together["t"]), rel=0.2)
+
+
+def test_the_light_of_a_facet_that_is_lit_at_its_tip_is_no_farther_than_is_told(
+    tmp_path: Path,
+) -> None:
+    """A shelf shades nine tenths of a long triangle from a Sun below it; the observer sees the
+    shelf from its edge, and the tip, 0.6 m from the triangle's middle, shine alone."""
+    corners = [[0.0, -0.05, 0.0], [0.0, 0.05, 0.0], [0.0, 0.0, 1.0]]
+    shelf = [[0.0, -1, -0.01], [0.0, 1, -0.01], [0.9, 1, -0.01], [0.9, -1, -0.01]]
+    faces = [[0, 1, 2], [3, 4, 5], [3, 5, 6]]
+    trimesh.Trimesh(corners + shelf, faces, process=False).export(tmp_path / "shelf.stl")
+    model = gather_mesh(MeshBody.model_validate(mesh(tmp_path / "shelf.stl")))
+    half = np.sqrt(0.5)
+    directions = np.array([[half, 0.0, -half], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    found = spread_of(Pose(model.digest, directions.tobytes(), 0.0, 1e-4, model))
+    lit_m = 0.89 + 0.11 / 3.0  # the middle of what stands above the shadow
+    assert found.y_m == pytest.approx(1.0 / 3.0, abs=1e-3)
+    assert 0.59 < lit_m - found.y_m <= found.off_m < 1.0

@@ -157,7 +157,9 @@ def test_movies(labelled, tmp_path):
     assert sorted(p.name for p in new.iterdir()) == ["a.gif", "a.mp4"]
 
 
-@pytest.mark.parametrize(("fps", "lasts_ms"), [(100.0, 20), (60.0, 20), (30.0, 30), (0.5, 2000)])
+@pytest.mark.parametrize(
+    ("fps", "lasts_ms"), [(100.0, 20), (60.0, 20), (30.0, 30), (0.5, 2000), (15.0, 70), (3.5, 290)]
+)
 def test_frames_of_a_gif_last_whole_hundredths_and_two_at_least(fps, lasts_ms):
     """However many a second are asked for: browsers slow shorter ones down."""
     pictures = (np.full((4, 4), grey, np.uint8) for grey in (0, 255))

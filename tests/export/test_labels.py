@@ -52,19 +52,21 @@ def test_a_frame_wider_than_high_keeps_what_crosses_it(tmp_path):
 
 
 def test_targets_behind_the_camera_for_a_part_are_labelled(tmp_path):
-    """By where they are seen: in the middle of the exposure, or at the other end."""
-    labels_of(tmp_path, [((50, 50), (90, 50))] * 4)
+    """By where they are seen: in the middle of the exposure, or at the other end; between both ends
+    where the middle alone is lost."""
+    labels_of(tmp_path, [((50, 50), (90, 50))] * 5)
     table = pq.read_table(tmp_path / "truth" / "targets.parquet").to_pydict()
-    for row, lost in enumerate((["start_"], ["end_"], ["start_", ""], ["end_", "", "start_"])):
+    lost_of = ["start_"], ["end_"], ["start_", ""], ["end_", "", "start_"], [""]
+    for row, lost in enumerate(lost_of):
         for axis, at in ((a, at) for a in "xy" for at in lost):
             table[f"{axis}_{at}px"][row] = np.nan
     pq.write_table(pa.table(table), tmp_path / "truth" / "targets.parquet")
     found = frame_labels(tmp_path, 0, SHAPE)
-    assert found.name.tolist() == ["t0", "t1", "t2"]
-    assert found.x_start_px.tolist() == [70.0, 50.0, 90.0]
-    assert found.x_end_px.tolist() == [90.0, 70.0, 90.0]
-    assert found.x_px.tolist() == [70.0, 70.0, 90.0]
-    assert found.length_px.tolist() == [20.0, 20.0, 0.0]
+    assert found.name.tolist() == ["t0", "t1", "t2", "t4"]
+    assert found.x_start_px.tolist() == [70.0, 50.0, 90.0, 50.0]
+    assert found.x_end_px.tolist() == [90.0, 70.0, 90.0, 90.0]
+    assert found.x_px.tolist() == [70.0, 70.0, 90.0, 70.0]
+    assert found.length_px.tolist() == [20.0, 20.0, 0.0, 40.0]
 
 
 def test_angles_run_from_columns_towards_rows(tmp_path):

@@ -103,6 +103,9 @@ def test_a_tracking_data_message_read_back(scene: Path, tmp_path: Path) -> None:
         assert found[*at, "ANGLE_1"] == pytest.approx(row["ra_deg"], abs=1e-9)
         assert found[*at, "ANGLE_2"] == pytest.approx(row["dec_deg"], abs=1e-9)
         assert found[*at, "MAG"] == pytest.approx(row["v_mag"], abs=1e-4)
+    names = [meta["PARTICIPANT_2"] for meta, _ in tdm(path)]
+    assert names == sorted({row["name"] for row in rows})  # a segment for each, though they take
+    assert len(names) < len(rows)  # turns, frame by frame
     meta, data = tdm(path)[0]
     assert (meta["TIME_SYSTEM"], meta["ANGLE_TYPE"], meta["PATH"]) == ("UTC", "RADEC", "2,1")
     assert (meta["START_TIME"], meta["STOP_TIME"]) == (data[0][1], data[-1][1])

@@ -41,14 +41,14 @@ from pipeline.physics.psf.response import (
     stamp_at,
     window,
 )
-from pipeline.physics.radiometry import box
+from pipeline.physics.radiometry import ResponseCurve, box
 from pipeline.physics.vectors import separation, unit
 from pipeline.plan import needs
 from pipeline.plan.checks import choose_checks
 from pipeline.plan.cones import catalogue_cones, field_cones
 from pipeline.plan.cost import CHECK_S, check_count, least_cpu_s
 from pipeline.plan.described import plan_dict
-from pipeline.plan.facts import Facts, gather_facts
+from pipeline.plan.facts import Facts, ends_m, gather_facts
 from pipeline.plan.needs import (
     CORE_S_PER_SAMPLE,
     StarForecast,
@@ -134,6 +134,17 @@ def test_facts_against_hand_reckoning(scene: Make) -> None:
     assert f.sigma_floor_e == pytest.approx(sigma)
     # phases, the wings' grid and end, streaks; a quarter for the sky's grid, and for shared frames
     assert 4.5 * f.budget_e == pytest.approx(0.05 * sigma)
+
+
+@pytest.mark.parametrize(("values", "ends_nm"), [
+    ([0.0, 0.0, 0.5, 1.0, 0.0, 0.0], (400, 900)), ([0.1, 0.0, 0.5, 1.0, 0.0, 0.2], (300, 950)),
+    ([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], (300, 950)), ([0.0, 0.0, 0.0, 1.0, 0.0, 0.0], (500, 900)),
+])  # fmt: skip
+def test_a_band_ends_where_its_response_comes_to_nothing(values: list, ends_nm: tuple) -> None:
+    """Between a point of 0 and the next one that is above it some of the light is counted."""
+    wavelengths = np.array([300.0, 400.0, 500.0, 800.0, 900.0, 950.0]) * 1e-9
+    found = ends_m(ResponseCurve(wavelengths, np.array(values)))
+    assert np.array(found) * 1e9 == pytest.approx(ends_nm)
 
 
 def test_each_frame_costs_its_drawing(scene: Make) -> None:

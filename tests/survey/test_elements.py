@@ -71,7 +71,8 @@ def test_kinds_and_orbits(tmp_path: Path) -> None:
     cases = [("SL-8 R/B", 0.001, 14.0, "rocket body", "LEO"), ("r/b x", 0.001, 11.0, "rocket body",
              "MEO"), ("FENGYUN DEB", 0.001, 1.0, "debris", "GEO"), ("SAT", 0.001, 0.8, "payload",
              "beyond"), ("DEB", 0.3, 12.0, "debris", "HEO"), ("OTHER", 0.2, 11.3, "payload", "MEO"),
-             ("LOW", 0.001, 11.4, "payload", "LEO")]  # fmt: skip
+             ("LOW", 0.001, 11.4, "payload", "LEO"),
+             ("ATLAS R/B DEB", 0.001, 14.1, "debris", "LEO")]  # fmt: skip
     text = "".join(lines_of(k + 1, 110.0, c[0], e=c[1], n=c[2]) for k, c in enumerate(cases))
     found, _ = gathered(tmp_path, text)
     motion = np.array([c[2] for c in cases]) * 2.0 * np.pi / 86_400.0

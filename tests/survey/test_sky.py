@@ -104,6 +104,16 @@ def test_a_satellite_against_the_renderer() -> None:
     np.testing.assert_allclose(asked(w, offset_s, u)[far], truth, rtol=0.08)
 
 
+def test_starlight_alone_against_the_renderer() -> None:
+    """The published counts, as no catalogue is named; the last but one is in the Milky Way."""
+    sky = {"starlight": "all"}
+    w, offset_s = watcher_of(sky), np.linspace(0.0, 9 * 3600.0, 8)
+    u = above(w, offset_s, np.random.default_rng(8))
+    truth = [rendered_e_s(w, sky, t, d) for t, d in zip(offset_s, u, strict=True)]
+    assert max(truth) > 2.0 * min(truth) > 0.0
+    np.testing.assert_allclose(asked(w, offset_s, u), truth, rtol=0.08)
+
+
 @pytest.mark.parametrize("observer", [None, {"kind": "orbit", "orbit": ORBIT}])
 def test_stray_light_against_the_renderer(observer: dict[str, Any] | None) -> None:
     """That of each line of sight at its own moment: of the Moon from a site, of all three bodies
@@ -156,10 +166,10 @@ def test_moon_and_twilight_are_in_the_sky_behind_alone() -> None:
     assert only.sky is not None
 
 
-@pytest.mark.parametrize("photon_noise", [True, False])
-def test_snr_is_that_of_the_sky_behind(photon_noise: bool) -> None:
+@pytest.mark.parametrize("change", [{}, {"photon_noise": False}, {"flat": 0.25}])
+def test_snr_is_that_of_the_sky_behind(change: dict[str, Any]) -> None:
     """Under a sky 3 magnitudes brighter: the table of a sensor that has that sky everywhere."""
-    camera = SMALL | {"photon_noise": photon_noise}
+    camera = SMALL | change
     dark = sections(sensor=camera, background={"uniform_mag_arcsec2": 21.0, "airglow": True})
     w = make_watcher(dark, FieldOfRegard(), EPOCH, False)
     more = sections(sensor=camera, background={"uniform_mag_arcsec2": 18.0})

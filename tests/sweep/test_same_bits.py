@@ -93,6 +93,20 @@ def test_what_a_point_may_err_by_grows_with_its_flat(sweep_file, tmp_path):
         assert 0.0 < alone["achieved_error_sigma"] <= found <= bound <= alone["asked_sigma"]
 
 
+def test_snr_of_points_that_share_light_is_that_of_each_ones_flat(sweep_file, tmp_path):
+    """As in the truth of each alone: a tenth of the light has a third of the SNR, or less."""
+    axis = {"field": "sensor.flat", "values": [1.0, 0.1]}
+    path = sweep_file([axis], {"stars": None, "exposure.frames": 1}, metrics=["snr"])
+    found = []
+    for row in rows_of(path, tmp_path / "swept"):
+        alone = tmp_path / str(row["point"])
+        render(point_scene(path, row["point"]), alone, Options("synchronous"))
+        truth = pq.read_table(alone / "truth" / "targets.parquet")["snr"].to_pylist()
+        assert [row["snr.ball"]] == pytest.approx(truth, rel=1e-6)
+        found += truth
+    assert found[0] > 3.0 * found[1] > 0.0
+
+
 @pytest.mark.parametrize("detector", [None, {"prnu": 0.01}], ids=["shared light", "own light"])
 def test_light_that_errs_by_more_than_was_stated_is_told(
     detector, sweep_file, tmp_path, monkeypatch

@@ -506,6 +506,20 @@ def test_a_part_of_points_that_the_sweep_does_not_have_is_removed(tmp_path, poin
     assert found.removed == [reason] * (not taken)
 
 
+def test_points_are_joined_wherever_their_parts_begin_and_end(tmp_path, monkeypatch):
+    """Four at a time: a part ends with the first of the next four, another begins with the last."""
+    monkeypatch.setattr(ledger, "JOIN_POINTS", 4)
+    (tmp_path / "parts").mkdir()
+    schema = pa.schema([("point", pa.int64()), ("x", pa.float64())])
+    for k, points in enumerate(([0, 1, 2, 4], [7, 8], [6, 5, 3], [9])):
+        rows = pa.table({"point": points, "x": [10.0 * p + k for p in points]}, schema)
+        pq.write_table(rows, tmp_path / "parts" / f"part-{k:07d}.parquet")
+    ledger.PointLedger(tmp_path, schema, 10).join()
+    found = table(tmp_path).to_pydict()
+    assert found["point"] == list(range(10))
+    assert found["x"] == [0.0, 10.0, 20.0, 32.0, 40.0, 52.0, 62.0, 71.0, 81.0, 93.0]
+
+
 def test_failed_points_are_tried_again_when_asked(sweep_file, tmp_path):
     """A missing file makes points fail; once it is there, only they are done again."""
     image = tmp_path / "flat.npy"

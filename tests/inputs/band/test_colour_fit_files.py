@@ -101,6 +101,7 @@ def test_a_measured_fit_sets_the_light(folder, tmp_path):
         ({"zero_electrons_s_m2": True}, "fit.zero_electrons_s_m2"),
         ({"spectra_count": None}, "fit.spectra_count"),
         ({"coefficients": [0.0, 10**400]}, "1 to 16 numbers"),
+        ({"colour_range": [-4.0, 0.5], "coefficients": [0.0] * 4 + [200.0]}, "at most 30 mag"),
     ],
 )
 def test_limits_of_what_a_file_may_say(folder, changes, word):

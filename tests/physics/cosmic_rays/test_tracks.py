@@ -131,19 +131,23 @@ def test_diffusion_changes_no_charge_of_a_frame():
     np.testing.assert_allclose(b[short], a[short], rtol=1e-12)
 
 
-@pytest.mark.parametrize(("thickness_um", "turn"), [(10.0, 0.1), (30.0, 0.6), (1000.0, 0.3)])
-def test_an_electron_that_leaves_the_silicon_takes_its_energy_along(thickness_um, turn):
-    """100 keV from the middle of a track straight down: the part of its range that lies inside.
+@pytest.mark.parametrize(
+    ("thickness_um", "turn", "at"),
+    [(10.0, 0.1, 0.5), (30.0, 0.6, 0.5), (1000.0, 0.3, 0.5), (30.0, 0.6, 0.9), (30.0, 0.6, 0.1)],
+)
+def test_an_electron_that_leaves_the_silicon_takes_its_energy_along(thickness_um, turn, at):
+    """100 keV from a share of a track straight down: the part of its range that lies inside, as it
+    goes on downwards.
 
     Its angle to the track is that of a collision with a heavy particle, cos^2 = T / (T + 2 m c^2).
     """
     energy_ev, pitch = 1e5, 10.0
     image, place = np.zeros((200, 200)), np.array([0, 0, 200, 200])
     line = (100.0, 100.0, 0.0, 0.0, thickness_um, pitch, 0.0)
-    found = _delta(image, place, np.empty(64), line, 0.5, energy_ev, turn)
+    found = _delta(image, place, np.empty(64), line, at, energy_ev, turn)
     cosine = np.sqrt(energy_ev / (energy_ev + 2.0 * 510_998.95))
     whole_um = electron_range_um(energy_ev)
-    path_um = min(whole_um, 0.5 * thickness_um / cosine)
+    path_um = min(whole_um, (1.0 - at) * thickness_um / cosine)
     assert found == pytest.approx(energy_ev / PAIR_EV * path_um / whole_um, rel=1e-5)
     y, x = np.indices(image.shape)
     away = np.hypot((image * x).sum() / found - 100.0, (image * y).sum() / found - 100.0)

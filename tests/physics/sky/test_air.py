@@ -253,6 +253,13 @@ def test_aerosols_scatter_and_ozone_absorbs():
         assert np.all((band.absorbed_mag > 0.0) == (ozone > 0.0))
 
 
+def test_ozone_absorbs_nothing_beyond_its_bands():
+    """The table ends at 840 nm, on a slope; in the middle of the Chappuis bands 0.04 mag."""
+    *_, ozone = coefficients([605e-9, 870e-9, 1.6e-6], 0.0, 0.0, 1.3, 300.0)
+    by_hand = 2.5 / np.log(10.0) * 5.019e-25 * 300.0 * 2.6867e20
+    assert ozone == pytest.approx([by_hand, 0.0, 0.0])
+
+
 def test_stars_of_another_colour_are_dimmed_otherwise():
     """Two pieces: the largest difference in magnitude from the Sun's own loss, of two lights."""
     two = np.array([1.0, 1.0])

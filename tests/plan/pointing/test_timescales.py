@@ -144,6 +144,15 @@ def test_settling_as_fast_as_the_nodes(frequency_hz: float) -> None:
     assert np.ptp(plan_geometry(made, np.array([0]), 0.0).target_x_px) < 0.1
 
 
+@pytest.mark.parametrize("slew_s", [1.0, 600.0])
+def test_settling_begins_at_the_end_of_a_slew_however_long(slew_s: float) -> None:
+    """In a second after it two thirds of the amplitude are left; half a minute later, nothing."""
+    settle = {"amplitude_arcsec": PX_ARCSEC, "frequency_hz": 8.0, "damping": 0.01}
+    second = {"frames": 2, "cadence_s": 30.0, "slew": {"duration_s": slew_s}, "settle": settle}
+    made = scene(dwells=[{"frames": 1}, second], pointing=TRACKED)
+    assert asked(made, np.array([1, 2])).tolist() == [257, 9]  # 32 a turn
+
+
 def test_a_bump_in_a_table_of_attitudes() -> None:
     """Three rows of a table, in a thirtieth of the exposure, of 3 px."""
     still = scene(pointing=TRACKED)
@@ -209,6 +218,17 @@ def test_rows_and_turns_are_looked_at_where_they_are() -> None:
         turning = scene(spin | {"attitude": law}, exposure=exposure)
         assert (asked(turning, frames[::20]) == expected).all()
         assert (asked(turning, frames[::20], near=False) == 9).all()
+
+
+@pytest.mark.parametrize(("at_s", "many"), [(-0.9, 9), (0.6, 513), (0.9, 513), (1.5, 9)])
+def test_rows_of_a_table_count_until_the_last_row_is_exposed(at_s: float, many: int) -> None:
+    """The first row is exposed for a tenth of a second, the last almost a second later."""
+    readout = {"detector": {"readout": {"kind": "rolling", "line_s": 1.0 / 64.0}}}
+    curve = {"kind": "light_curve", "times_s": [-99.0, at_s, at_s + 0.01, 99.0]}
+    body = curve | {"magnitudes": [5.0, 5.0, 9.0, 9.0]}
+    sensor = SCENE["sensor"] | readout
+    made = scene(body, sensor=sensor, exposure={"integration_s": 0.1})
+    assert asked(made, np.zeros(1, int)).tolist() == [many]
 
 
 def test_what_is_too_fast_to_be_looked_at_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -270,6 +270,22 @@ def test_targets_whose_light_does_not_reach_the_frame_do_not_count() -> None:
     assert found.errors_e["targets.point_sources"] == pytest.approx(curvature * 10.0 * 0.01)
 
 
+@pytest.mark.parametrize(("radius_px", "counts"), [(60.0, True), (40.0, False)])
+def test_a_body_whose_edge_alone_comes_near_the_frame_counts(
+    radius_px: float, counts: bool
+) -> None:
+    """Its middle is 50 px farther off than where a point's light would still reach it."""
+    plan = prepare(parse_scene(many())).plan
+    off_px = plan.scene.sensor.shape[1] + plan.halo_px + plan.responses.reach_core_px + 50.0
+    columns = {f"x_{end}px": np.array([off_px]) for end in ("start_", "", "end_")}
+    columns |= {f"y_{end}px": np.array([10.0]) for end in ("start_", "", "end_")}
+    columns |= {
+        "frame": np.zeros(1, int), "electrons": np.array([1e6]),
+        "radius_px": np.array([radius_px]), "extended": np.ones(1, bool),
+    }  # fmt: skip
+    assert _of_targets(plan, columns).brightest_e == (1e6 if counts else 0.0)
+
+
 @pytest.mark.parametrize("lost", [("start",), ("end",), ("start", ""), ("end", "")])
 def test_a_target_that_is_behind_the_camera_for_a_part_counts(lost: tuple[str, ...]) -> None:
     """By where it is in the middle of its exposure, or at the end that is seen."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -44,3 +45,14 @@ def test_those_that_are_nearer_than_the_accuracy_allows_are_named() -> None:
     assert not [w for w in small.plan.warnings if "seen from afar" in w]
     scene = parse_scene(scene_of(0.0, False) | {"targets": []})
     assert near_warnings(scene, None) == []  # type: ignore[arg-type]
+
+
+def test_the_largest_phase_of_all_exposures_tells_the_size() -> None:
+    """A sphere 50 radii away, first near full phase, then a thin crescent: it is 25% off there."""
+    scene, late = parse_scene(scene_of(0.0, False, 100.0)), 2.9
+    phase = np.array([[[0.5, 0.5], [late, late]]])
+    g = SimpleNamespace(target_range_m=np.full(phase.shape, 2500.0), target_phase_rad=phase)
+    (told,) = near_warnings(scene, g)  # type: ignore[arg-type]
+    percent = float(told.split("up to some ")[1].split("%")[0])
+    off = 100.0 * abs(light_from(50.0, late) / light_from(1e6, late) - 1.0)
+    assert 10.0 < off <= percent < 1.5 * off

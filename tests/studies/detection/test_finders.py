@@ -109,6 +109,17 @@ def test_known_drift_and_its_removal():
         assert verdict.false <= 3
 
 
+@pytest.mark.parametrize("half_px", [4, 5])
+def test_streaks_not_much_longer_than_the_opening_go_and_points_stay(half_px):
+    """The opening is half as long: one of their own length would leave a part of their middles."""
+    rows = [(STAR, 60, 60, half_px, 0, 3000), (TARGET, 150, 100, 0, 0, 3000)]
+    image = drawn(rows)
+    left = without_streaks(image, drift_of(labels(rows)))
+    middle, point = np.s_[59:62, 58:63], np.s_[99:102, 149:152]
+    assert left[middle].mean() < 0.1 * image[middle].mean()
+    assert left[point].mean() > 0.5 * image[point].mean()
+
+
 def test_judge_counts_right_fragments_and_false():
     told = labels([(TARGET, 50, 50, 0, 0, 20), (STAR, 120, 100, 15, 0, 30)])
     sought = np.array([True, False])
