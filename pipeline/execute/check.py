@@ -77,6 +77,7 @@ MOST_MERGED_PX = 1e-2
 WING_BEND_PX = 2e-2  # that straight runs of a body's path may be off for its wings
 MOST_FOLLOWED = 500  # of the brightest stars near a window, whose paths are looked at
 LONGEST_PX = 96.0
+FINER = 2  # times as many pieces, of responses that change along a path
 MOST_VALUES = 5e7  # of profiles that the sources of a window may cost, if transforms serve too
 MOST_POINTS = 1e6  # along the paths of a group of sources whose wings are swept so
 SWEEP_STEP_PX = 32.0
@@ -304,6 +305,8 @@ def _quadrature_cost(plan: Plan, at: Tile, group: Group, most: float) -> float |
     cost = at.rows * at.columns * values
     if light[0] > min(r.classes[-1].brightest_e, r.classes[-1].target_e):
         return cost
+    if path.length_px > r.longest_px(path, FINER):
+        return None  # by its responses along the path
     profile = max(profile_s(b, r.reach_px) for b in r.blurs) / VALUE_S
     return cost if cost + profile <= most else None
 
@@ -366,7 +369,7 @@ def _pieces(
         classes = _core_class(plan, light)
         for k in np.unique(classes):
             near = [core_of(b, _radius(plan, int(k), b)) for b in _near_window(plan, int(k), at)]
-            for x0, y0, piece, share in pieces(path, LONGEST_PX):
+            for x0, y0, piece, share in pieces(path, plan.responses.longest_px(path, FINER)):
                 reach = max(reach_px(core, piece) for core in near)
                 off_x = np.maximum(at.x0 - x - x0, x + x0 - (at.x0 + at.columns - 1))
                 off_y = np.maximum(at.y0 - y - y0, y + y0 - (at.y0 + at.rows - 1))

@@ -254,7 +254,8 @@ def _draw_path(
         add_beyond(plan, image, tile, path, x, y, light_e, reach_px)
         return
     radius = plan.responses.classes[k].radius_px
-    for x0, y0, piece, share in pieces(path, near=_box(tile, radius, x, y)):
+    longest_px = plan.responses.longest_px(path)
+    for x0, y0, piece, share in pieces(path, longest_px, _box(tile, radius, x, y)):
         place = x + x0, y + y0, light_e * share
         if _reaches(tile, radius, piece, *place[:2]):
             for blur, part_e in parts_of(plan, *place):

@@ -71,12 +71,19 @@ def finish(
     errors = {"wcs_residual_px": residual} | errors
     report = _report(plan, catalogues, begun, rows, errors, gathered.digest)
     accepted = not of_light or "error" in plan.scene.accept
-    report["errors"]["as_stated"] = not doubts and accepted
+    report["errors"]["as_stated"] = (
+        None if _unseen(errors) and accepted else not doubts and accepted
+    )
     report["seconds"] = times | {"finish_s": time.perf_counter() - started}
     layout.write_atomically(product / layout.REPORT, layout.to_json(report))
     seal(product, gathered.digest)
     drop_parts(product)  # after the seal: one that is killed here needs no part again
     return report
+
+
+def _unseen(errors: JsonObject) -> bool:
+    """Whether no window could be drawn again, of those that were to be: nothing is known."""
+    return not errors.get("windows") and bool(errors.get("windows_skipped"))
 
 
 def _faults(plan: Plan, product: Path) -> dict[str, int]:

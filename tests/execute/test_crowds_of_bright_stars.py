@@ -12,6 +12,8 @@ import pytest
 from scipy.special import erf
 
 from catalog_tools.ingest.ingest import ingest
+from pipeline.commands.options import as_stated
+from pipeline.execute import check
 from pipeline.physics.drawing.quadrature import draw_quadrature
 from pipeline.physics.motion.streak import POINT
 from pipeline.physics.psf.pupil import Blur, Gaussian
@@ -87,6 +89,18 @@ def test_sharp_light_does_not_end_at_the_centre_of_a_pixel(tmp_path: Path) -> No
     edges = (np.arange(4) - 1.5) / (0.1 * np.sqrt(2.0))
     along, down = (0.5 * np.diff(erf(edges - c / (0.1 * np.sqrt(2.0)))) for c in (x, y))
     assert drawn == pytest.approx(down[:, None] * along[None, :], abs=1e-12)
+
+
+def test_of_an_error_that_could_not_be_looked_for_nothing_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither that it is as stated nor exit code 5, where all windows take too long."""
+    monkeypatch.setattr(check, "reference", lambda *_: (None, 400))
+    data = scene(tmp_path, 1.0, 16.0, {"kind": "gaussian", "sigma_px": 0.8})
+    report = render(parse_scene(data), tmp_path / "product")
+    assert report["errors"]["windows"] == 0 < report["errors"]["windows_skipped"]
+    assert report["errors"]["as_stated"] is None
+    as_stated(report)
 
 
 def test_errors_of_a_crowd() -> None:

@@ -18,7 +18,7 @@ from pipeline.arrays import FrameStars
 from pipeline.errors import BadInput
 from pipeline.execute import check, tables
 from pipeline.execute.blocks import render_block
-from pipeline.execute.light import draw_exact, draw_stars
+from pipeline.execute.light import _draw_path, draw_exact, draw_stars
 from pipeline.execute.sources import FrameTarget, streaks
 from pipeline.execute.tables import ContentCache
 from pipeline.execute.truth import matched_snr
@@ -334,6 +334,26 @@ def test_what_a_streak_loses_by_the_responses_of_its_middle_is_told(
     assert "streaks (up to 60 px)" in told
     still = prepare(scene(catalogue, field(CORNERS))).plan
     assert not [w for w in still.warnings if "responses of their middle" in w]
+
+
+def test_a_path_of_its_own_takes_the_responses_along_it(catalogue):
+    """A source without a table through the field, and in 64 parts; one response all along would err
+    by 20 times as much."""
+    plan, _ = planned(catalogue, field(CORNERS))
+    tile, place = Tile(0, 0, 0, 0, SIDE, SIDE), (160.3, 158.9, 1e6)
+    x, y = np.linspace(-75.0, 75.0, 65), np.linspace(-100.0, 100.0, 65)
+
+    def image(x_px, y_px, light_e, field_of=plan.responses.field):
+        one = replace(plan, responses=replace(plan.responses, field=field_of))
+        out, path = np.zeros((SIDE, SIDE)), Path(x_px, y_px, np.ones(1))
+        _draw_path(one, out, tile, 0, path, *place[:2], light_e)
+        return out
+
+    parts = sum(image(x[k : k + 2], y[k : k + 2], 1e6 / 64) for k in range(64))
+    whole = image(x[[0, -1]], y[[0, -1]], 1e6)
+    off = np.abs(whole - parts).max()
+    assert off < 3e-3 * parts.max()
+    assert off < 0.05 * np.abs(image(x[[0, -1]], y[[0, -1]], 1e6, None) - parts).max()
 
 
 def test_without_a_field_nothing_of_it_is_loaded(catalogue, tmp_path):

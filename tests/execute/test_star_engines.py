@@ -61,7 +61,7 @@ def plan_of(
         "sensor": {
             "shape": [side, side], "pixel_pitch_um": 10.0,
             "focal_length_m": focal_length_m,
-            "aperture_m": 0.015, "psf": psf,
+            "aperture_m": 0.015, "psf": psf, "pupil_projection": False,
             "read_noise_e": 5.0,
             "bandpass": {"kind": "box", "short_nm": 600.0, "long_nm": 700.0},
         },

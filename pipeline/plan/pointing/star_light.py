@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +21,7 @@ MOST_STEPS = 64
 LEAST = 1e-12  # of what comes from above: stars that set or leave still have an order
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class ChangingLight:
     """What changes the light of stars while they move.
 
@@ -30,7 +30,7 @@ class ChangingLight:
     """
 
     camera: Camera
-    extinction: BandExtinction | None
+    extinction: BandExtinction | None = field(compare=False)
     pupil: bool
     steps: int = 1
 

@@ -20,7 +20,6 @@ from pipeline.physics.drawing.quadrature import NEAR_PX, drawn_s
 from pipeline.physics.drawing.spectral_plan import CROWD_PX, ROUNDING
 from pipeline.physics.motion.points import in_fewer_points, points_per_px
 from pipeline.physics.motion.streak import (
-    LONGEST_PIECE_PX,
     POINT,
     Path,
     curve_through,
@@ -408,8 +407,9 @@ class _Costs:
 
     def along(self, stars: float) -> float:
         """Each along its own path, of which the pieces that come near the frame are drawn."""
-        pieces = max(1.0, math.ceil(self._sweep.length_px / LONGEST_PIECE_PX))
-        near = math.ceil(self._across_px / LONGEST_PIECE_PX) + 2.0
+        longest_px = self._plan.responses.longest_px(self._sweep)
+        pieces = max(1.0, math.ceil(self._sweep.length_px / longest_px))
+        near = math.ceil(self._across_px / longest_px) + 2.0
         swept_s = ALONG_S_PER_SAMPLE * self._lit * max(self._segments / pieces, 1.0)
         one_s = STAR_S + (0.5 * STAR_S_PER_SAMPLE + swept_s) * self._samples(self._sweep, pieces)
         return stars * self._each * one_s * min(pieces, near)

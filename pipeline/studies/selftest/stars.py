@@ -120,6 +120,7 @@ def long_streak(folder: Path) -> CaseResult:
         {
             **_rate(3000.0),
             "sensor.focal_length_m": 0.2,
+            "sensor.pupil_projection": False,  # its light is even along the streak
             "pointing.boresight_ra_deg": 180.0 - 4.2967,
             "pointing.rate_ra_arcsec_s": 3000.0 * PIXEL_ARCSEC / 20.0,
         },
