@@ -43,7 +43,7 @@ from pipeline.plan.sensor.detector import (
     quiet_terms,
     typical_read_noise_e,
 )
-from pipeline.plan.sensor.rolling import check_rolling
+from pipeline.plan.sensor.rolling import check_rolling, shear_warnings
 from pipeline.plan.sky.doubts import lacks_night, sky_doubts
 from pipeline.plan.stars.brightest import brightest_target_e
 from pipeline.plan.stars.field_stars import FieldStars
@@ -197,6 +197,7 @@ def _of_sensor(resolved: ResolvedScene, maps: SensorMaps, g: Geometry) -> list[s
         *_cut_off(resolved, maps),
         *unit_warnings(resolved.scene),
         *field_streak_warnings(resolved, g),
+        *shear_warnings(resolved, g),
     ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +124,10 @@ def test_stars_against_each_rows_own_exposure(first: str, catalogue: str, tmp_pa
     assert np.abs(still - expected).max() > 5.0 * room
     assert np.abs(ours - expected).max() < room
     assert ours.sum() == pytest.approx(expected.sum(), rel=2e-3)
+    rolling = prepare(scene(catalogue, speed, {"line_s": LINE_S, "first": first})).plan
+    (told,) = (w for w in rolling.warnings if "as of one row" in w)
+    told_e = float(re.search(r"up to ([\d.e+-]+) e-", told)[1])
+    assert np.abs(ours - expected).max() < told_e < 10.0 * np.abs(ours - expected).max()
 
 
 def test_a_target_against_each_rows_own_exposure(tmp_path: Path) -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Geometry
 from pipeline.errors import BadInput
 from pipeline.physics.motion.rolling import later
+from pipeline.physics.psf.response import compact_core
 from pipeline.plan.pointing.attitude_motion import motion_plan
 from pipeline.plan.pointing.geometry import camera_of, late_geometry, with_frames
 from pipeline.plan.pointing.paths import near_frame
@@ -15,6 +19,9 @@ from pipeline.plan.pointing.star_paths import field_points, paths_of_those_at, s
 from pipeline.plan.timing import dwell_plans, last_row_late_s
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import RollingShutter
+
+if TYPE_CHECKING:
+    from pipeline.plan.resolved import ResolvedScene
 
 Array = NDArray[np.float64]
 
@@ -79,6 +86,31 @@ def rolling_shutter(
         "time"
     )
     return told, off
+
+
+def shear_warnings(plan: ResolvedScene, g: Geometry) -> list[str]:
+    """That images are drawn as of one row, where that shows in the brightest source.
+
+    A Gaussian image that moves by s px from row to row errs by s y dp/dy at most, 2 / e of s times
+    its brightest pixel; g : some of the frames.
+    """
+    scene, r = plan.scene, plan.responses
+    readout = None if scene.sensor.detector is None else scene.sensor.detector.readout
+    if not isinstance(readout, RollingShutter) or not r.classes:
+        return []
+    speed = max((_fastest_px_s(scene, one) for one in _exposed(g)), default=0.0)
+    length_px = 0.0 if scene.targets else r.streaks.shortest_px
+    peak = max(float(compact_core(b, r.usual_px).samples.max()) for b in r.blurs)
+    peak_e = plan.facts.brightest_e * min(peak, 1.0 / max(length_px, 1.0))
+    off_e = 2.0 / math.e * speed * readout.line_s * peak_e
+    noise_e = math.sqrt(plan.facts.light_floor_e**2 + scene.sensor.photon_noise * peak_e)
+    if off_e <= scene.accuracy.noise_fraction * noise_e:
+        return []
+    return [
+        f"sensor.detector.readout: images are drawn as of one row: the shear that is omitted makes "
+        f"a pixel of the brightest source err by up to {off_e:.2g} e-, {off_e / noise_e:.2g} of "
+        f"its noise (asked: {scene.accuracy.noise_fraction:g})"
+    ]
 
 
 def _of_every_dwell(scene: Scene, g: Geometry, dut1_s: float) -> Geometry:
