@@ -216,7 +216,8 @@ def _along_own(
     """x, y [px] and light [e-] of stars as about so many points each, of some stars at a time:
     their part in one response, for waves up to a band [cycles/px]."""
     aberration, changes = plan.scene.star_effects["aberration"], plan.responses.streaks.light
-    at_once = max(1, POINTS_AT_ONCE // max(points, g.nodes))
+    nodes = g.nodes + (0 if changes is None else changes.steps)
+    at_once = max(1, POINTS_AT_ONCE // max(points, nodes))
     for first in range(0, len(stars), at_once):
         some = slice(first, first + at_once)
         x, y, light = (v[some, None] for v in (stars.x_px, stars.y_px, stars.light_e))

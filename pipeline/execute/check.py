@@ -327,6 +327,8 @@ def _star_groups(
     x, y, light = near.x_px[some], near.y_px[some], near.light_e[some]
     places = np.append(x, middle[0]), np.append(y, middle[1])
     changes = plan.responses.streaks.light
+    if changes is not None:
+        changes = replace(changes, steps=2 * changes.steps)
     offsets = star_offsets(plan.camera, g, *places, aberration, changes)[:, :, 0]
     offsets, common = offsets[:, :-1], offsets[:, -1:]
     off_px = np.hypot(*(offsets - common)).max(axis=1)

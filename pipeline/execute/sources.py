@@ -40,6 +40,7 @@ UNMOVED = 0.01  # of a part's budget, up to which a sphere is drawn as in the mi
 MOST_OFF = 10.0  # radii by which the edge of a field may move a body's limb
 STEP_PX = 0.125  # beside a body's middle, where its stretch is looked at
 MIDDLE = Perspective(1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+SETTING_PARTS = 16  # of a step of a star that sets, where its light changes
 SQUARE_PX = 64.0  # stars are drawn square by square, so that a stamp's pixels stay in the cache
 
 
@@ -101,21 +102,22 @@ def place_stars(
     visible = seen_fraction(plan.scene, plan.camera, g, proper[which], y, reach)
     guard_some(plan, g, x, y, observed, kept.source_id)
     light = kept.rate_e_s * plan.integration_s(int(g.frame[0]))
-    if plan.responses.streaks.light is None:
+    if plan.responses.streaks.light is None or plan.camera.line_s:
         light = light * pupil_fraction(plan.scene, plan.camera, x, y)
     else:
         light = light * mean_pupil_fraction(plan.scene, g, observed)
     if plan.camera.line_s:
         light = light * longer[which]
-    lit = visible
-    if plan.extinction is not None:  # which lets nothing through from below the horizon
-        light = light * star_transmission(plan.extinction, plan.camera, g, observed)
-        lit = np.ceil(visible)
+    passed = visible
+    if plan.extinction is not None:
+        passed = visible * star_transmission(plan.extinction, plan.camera, g, observed)
+        some = np.flatnonzero((visible > 0.0) & (visible < 1.0))
+        passed[some] = _passed_while_seen(plan, g, observed[some], proper[which[some]], y[some])
     return FrameStars(
         kept.source_id,
         x,
         y,
-        light * lit,
+        light * passed,
         ra,
         dec,
         kept.g_mag,
@@ -123,6 +125,21 @@ def place_stars(
         np.full(len(kept), catalogue, np.uint8),
         visible,
     )
+
+
+def _passed_while_seen(
+    plan: ResolvedScene, g: Geometry, observed: Array, proper: Array, y_px: Array
+) -> Array:
+    """Share (n,) of the light of stars that comes down in the one exposure of `g`, of those that
+    the Earth hides for a part of it; directions (n, 3) as `star_transmission` and `stars_clear`."""
+    assert plan.extinction is not None
+    clear = stars_clear(plan.scene, plan.camera, g, proper, y_px)
+    passed = plan.extinction.transmission(np.maximum(observed @ g.air[0, :, :3].T, 0.0))
+    still, front = np.zeros(g.nodes), np.ones(g.nodes - 1, bool)
+    found = (
+        visible_path(still, still, *one, front, 0.0) for one in zip(passed, clear, strict=True)
+    )
+    return np.array([share for _, share in found])
 
 
 def whole_stars(stars: FrameStars) -> FrameStars:
@@ -157,7 +174,8 @@ def _setting_star(plan: ResolvedScene, g: Geometry, stars: FrameStars, index: in
     front = np.ones(g.nodes - 1, bool)
     whole_e = float(star.light_e[0] / star.visible_fraction[0])  # of the whole exposure
     merge_px = _merge_px(plan, np.full(g.nodes - 1, whole_e / (g.nodes - 1)), x, y)
-    path, _ = visible_path(x, y, light, clear, front, merge_px)
+    parts = 1 if changes is None else SETTING_PARTS
+    path, _ = visible_path(x, y, light, clear, front, merge_px, parts)
     place = float(star.x_px[0]), float(star.y_px[0])
     return FrameTarget(index, *place, path, float(star.light_e[0]))
 

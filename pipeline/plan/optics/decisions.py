@@ -43,7 +43,7 @@ def _pupil(basis: PlanBasis) -> list[Decision]:
         why = "flat is an image, which holds it" if isinstance(flat, str) else "switched off"
         reason = f"{why} (sensor.pupil_projection): {size}, by its cosine off axis"
         return [Decision("pupil_projection", False, reason, bound=lost, unit="of the light")]
-    along = basis.resolved.responses.streaks.light is not None
+    along = basis.resolved.responses.streaks.light is not None and not camera.line_s
     reason = (
         f"light is dimmed by the cosine of its angle off axis: {size}; not the stray light, which "
         "reaches the focal plane otherwise. Of a star that streaks, "

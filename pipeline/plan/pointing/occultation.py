@@ -99,17 +99,25 @@ def targets_seen(g: Geometry) -> Array:
 
 
 def visible_path(
-    x_px: Array, y_px: Array, light: Array, clear: Array, front: NDArray[np.bool_], merge_px: float
+    x_px: Array,
+    y_px: Array,
+    light: Array,
+    clear: Array,
+    front: NDArray[np.bool_],
+    merge_px: float,
+    parts: int = 1,
 ) -> tuple[Path, float]:
     """The part of a path in which its source is seen, and the mean light of the exposure.
 
     x_px, y_px, light : (K,) at nodes at equal steps, straight between them; clear : (K,) positive
-    where it is seen; front : (K - 1,) between which nodes it is before the camera. The path begins
+    where it is seen; front : (K - 1,) between which nodes it is before the camera; parts : of each
+    step, with even light in each. The path begins
     and ends where the source appears and disappears, and has no light where it is hidden between.
     One that sends none has the path of the whole exposure.
     """
     fine, nodes = finer(clear), np.arange(len(clear))
-    at = np.unique(np.concatenate([nodes, crossings(fine) / FINER]))
+    steps = np.arange(nodes[-1] * parts + 1) / parts
+    at = np.unique(np.concatenate([steps, crossings(fine) / FINER]))
     halfway = 0.5 * (at[1:] + at[:-1])
     seen = np.interp(halfway * FINER, np.arange(len(fine)), fine) >= 0.0
     x, y, bright = (np.interp(at, nodes, v) for v in (x_px, y_px, light))

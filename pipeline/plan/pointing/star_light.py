@@ -16,9 +16,9 @@ from pipeline.spec.scene import Scene
 if TYPE_CHECKING:
     from pipeline.physics.sky.extinction import BandExtinction
 
-MOST_MOMENTS = 65  # of an exposure at which light is looked at: it changes smoothly
-MOST_STEPS = 64
-LEAST = 1e-12  # of what comes from above: stars that set or leave still have an order
+MOST_MOMENTS = 65  # of an exposure at which the air is looked at: a star's height changes smoothly
+FEWEST_STEPS, MOST_STEPS = 16, 1024
+LEAST = 1e-12  # of what comes from above: stars behind the camera still have an order
 
 
 @dataclass(frozen=True)
@@ -26,36 +26,37 @@ class ChangingLight:
     """What changes the light of stars while they move.
 
     extinction : by the air, as seen from the ground; pupil : whether their angle off the axis does
-    steps : at equal light that stand for one between nodes at equal times, in `at_equal_light`
+    steps : of equal light in an exposure, at least, in `at_equal_light`
     """
 
     camera: Camera
     extinction: BandExtinction | None = field(compare=False)
     pupil: bool
-    steps: int = 1
+    steps: int = FEWEST_STEPS
 
     def along(self, g: Geometry, x_px: Array, y_px: Array) -> Array:
         """Light (n, F, K) at the nodes of `g` of stars that stand at (x, y) at mid-exposure: as a
-        fraction of what comes from above the air on the axis."""
+        fraction of what comes from above the air on the axis. Of those below the horizon as on it:
+        what hides them is not in it."""
         out = np.ones((len(x_px), len(g.frame), g.nodes))
         few = np.unique(np.linspace(0, g.nodes - 1, min(g.nodes, MOST_MOMENTS)).astype(np.int64))
         between = np.array([np.interp(np.arange(g.nodes), few, one) for one in np.eye(len(few))])
         for f in range(len(g.frame)):
             u = deproject(self.camera, g.attitude[f, g.middle], x_px, y_px)
-            light = np.ones((len(x_px), len(few)))
             if self.extinction is not None:
-                light *= self.extinction.transmission(u @ g.air[f, few, :3].T)
+                sine = np.maximum(u @ g.air[f, few, :3].T, 0.0)
+                out[:, f] *= self.extinction.transmission(sine) @ between
             if self.pupil:
-                light *= u @ g.attitude[f, few, 2].T
-            out[:, f] = np.maximum(light, LEAST) @ between
-        return out
+                out[:, f] *= u @ g.attitude[f, :, 2].T
+        return np.maximum(out, LEAST)
 
     def at_equal_light(self, g: Geometry, x_px: Array, y_px: Array, paths: Array) -> Array:
-        """Paths (2, n, F, `steps` (K - 1) + 1) at steps of equal light, from (2, n, F, K) at equal
-        times, cubic between these: light that lies evenly along them is that of the stars."""
+        """Paths (2, n, F, m (K - 1) + 1) at steps of equal light, from (2, n, F, K) at equal times,
+        cubic between these: light that lies evenly along them is that of the stars."""
         light, count = self.along(g, x_px, y_px), paths.shape[-1]
         x, y = (np.ascontiguousarray(v).reshape(-1, count) for v in paths)
-        out = _at_equal_light(x, y, light.reshape(-1, count), self.steps)
+        each = math.ceil(self.steps / (count - 1))
+        out = _at_equal_light(x, y, light.reshape(-1, count), each)
         return out.reshape(*paths.shape[:-1], -1)
 
 
@@ -67,20 +68,14 @@ def star_light(
     return ChangingLight(camera, extinction, pupil) if pupil or extinction is not None else None
 
 
-def steps_for(moved_px: float, tolerance_px: float, nodes: int) -> int:
-    """Into how many steps of equal light each of those between nodes is cut, so that even light
-    between them is off by no more than a tolerance.
+def steps_for(moved_px: float, tolerance_px: float) -> int:
+    """Steps of equal light in an exposure, between which even light is off by no more than a
+    tolerance, if so many may be.
 
-    moved_px : how far equal light moves the nodes themselves, at most. What is left falls as the
+    moved_px : how far equal light moves places of equal time, at most. What is left falls as the
     square of the steps, as between points of a parabola.
     """
-    wanted = math.sqrt(moved_px / tolerance_px) / (nodes - 1)
-    return int(2 ** np.clip(math.ceil(math.log2(max(wanted, 1.0))), 0, math.log2(MOST_STEPS)))
-
-
-def left_px(moved_px: float, steps: int, nodes: int) -> float:
-    """What is left of that [px]."""
-    return moved_px / (steps * (nodes - 1)) ** 2
+    return int(np.clip(math.ceil(math.sqrt(moved_px / tolerance_px)), FEWEST_STEPS, MOST_STEPS))
 
 
 @njit(cache=True, nogil=True)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Array, Geometry
 from pipeline.physics.motion.points import bend_px, points_per_px
 from pipeline.physics.motion.streak import (
+    HALVINGS,
     LONGEST_PIECE_PX,
     Path,
     densest_share,
@@ -25,7 +26,7 @@ from pipeline.physics.motion.streak import (
     path_through,
 )
 from pipeline.physics.positions.focal_plane import Camera, ifov_rad
-from pipeline.plan.pointing.star_light import ChangingLight, left_px, steps_for
+from pipeline.plan.pointing.star_light import ChangingLight, steps_for
 from pipeline.plan.response.own_paths import FINEST_MERGE_PX, exact_path, star_offsets
 from pipeline.plan.response.zones import CHECKS, NODES, Zone, biquadratic, lagrange, zone_of_frame
 from pipeline.spec.scene import CELL_PX, USUAL_FRACTION
@@ -208,9 +209,11 @@ class StreakPlan:
         return np.minimum(error_e, self.budget_e)
 
     def rounded_e(self, light_e: Array) -> Array:
-        """What stars (n,) err by as places along their own paths are rounded [e-]; 0 of points."""
+        """What stars (n,) err by as places along their own paths are rounded, and as light that
+        changes is even between steps, halved as paths are [e-]; 0 of points."""
         hidden = allowed_e(light_e, self.floor_e, 1.0, self.photons)
-        return self.rounded_px * bool(self.off_px) * light_e / hidden
+        off_px = self.rounded_px + self.light_px / 4.0**HALVINGS
+        return off_px * bool(self.off_px) * light_e / hidden
 
 
 def plan_streaks(
@@ -291,14 +294,14 @@ def _uneven(
     noise : as the last of `merged_px`
     """
     even, at_equal = (_followed(camera, ends, 1, aberration, of) for of in (None, light))
-    moved_px = float(np.hypot(*(at_equal - even)).max())
+    each = (at_equal.shape[-1] - 1) // (even.shape[-1] - 1)
+    moved_px = float(np.hypot(*(at_equal[..., ::each] - even)).max())
     longest_px = float(np.hypot(*np.diff(even, axis=-1)).sum(axis=-1).max())
     brightest = np.array(brightest_e or UNKNOWN_E)
     if moved_px <= merged_px(brightest, 1.0 / max(longest_px, 1.0), *noise):
         return None, 0.0
-    steps = steps_for(moved_px, EVEN * tolerance_px, ends.nodes)
-    steps = max(steps, math.ceil((MOST_NODES - 1) / (ends.nodes - 1)))
-    return replace(light, steps=steps), left_px(moved_px, steps, ends.nodes)
+    steps = steps_for(moved_px, EVEN * tolerance_px)
+    return replace(light, steps=steps), moved_px / steps**2
 
 
 def _finer(plan: StreakPlan, offsets: Array) -> StreakPlan | None:
