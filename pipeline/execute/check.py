@@ -293,22 +293,25 @@ def _quadrature_cost(plan: Plan, at: Tile, group: Group, most: float) -> float |
 
     None for a group that is drawn by transforms: of several sources, of a response without a
     known profile, or of more than `most` with that profile (which other sources share, but may be
-    dear) where it is no brighter than the core classes serve.
+    dear) or of responses that change along its path, where it is no brighter than the core classes
+    serve.
     """
     _, _, light, path = group
     r = plan.responses
-    if len(light) != 1 or not all(has_profile(b) for b in r.blurs):
-        return None
-    if not all(affordable(b, path, (at.rows, at.columns)) for b in r.blurs):
+    if len(light) != 1 or not _integrable(r.blurs, path, (at.rows, at.columns)):
         return None
     values = max(len(points_of(b, path, True)) * (1.5 * nodes_of(b)) ** 2 for b in r.blurs)
     cost = at.rows * at.columns * values
     if light[0] > min(r.classes[-1].brightest_e, r.classes[-1].target_e):
         return cost
-    if path.length_px > r.longest_px(path, FINER):
-        return None  # by its responses along the path
+    along = r.field is not None and path.length_px > r.longest_px(path, FINER)
     profile = max(profile_s(b, r.reach_px) for b in r.blurs) / VALUE_S
-    return cost if cost + profile <= most else None
+    return cost if cost + profile <= most and not along else None
+
+
+def _integrable(blurs: tuple[Blur, ...], path: Path, size: tuple[int, int]) -> bool:
+    """Whether quadrature may draw a source of these responses along a path."""
+    return all(has_profile(b) and affordable(b, path, size) for b in blurs)
 
 
 def _star_groups(
