@@ -20,7 +20,7 @@ test: $(VENV)/.tests
 	$(BIN)/ruff format --check $(PACKAGES)
 	$(BIN)/lint-imports
 	$(BIN)/mypy & types=$$!; \
-	$(BIN)/pytest -m "not slow" -n 3 --dist loadfile --no-loadscope-reorder; tests=$$?; \
+	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder; tests=$$?; \
 	wait $$types && exit $$tests
 
 test-slow: $(VENV)/.tests
