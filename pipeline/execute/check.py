@@ -41,6 +41,7 @@ from pipeline.physics.drawing.wings import (
     wing_grid,
 )
 from pipeline.physics.motion.streak import (
+    LONGEST_PIECE_PX,
     POINT,
     Path,
     densest_share,
@@ -76,8 +77,7 @@ OFF_SHARE = 0.02  # of the light that may be off: what merging the segments of a
 MOST_MERGED_PX = 1e-2
 WING_BEND_PX = 2e-2  # that straight runs of a body's path may be off for its wings
 MOST_FOLLOWED = 500  # of the brightest stars near a window, whose paths are looked at
-LONGEST_PX = 96.0
-FINER = 2  # times as many pieces, of responses that change along a path
+FINER = 2  # times as many pieces of responses, and steps of light, that change along a path
 MOST_VALUES = 5e7  # of profiles that the sources of a window may cost, if transforms serve too
 MOST_POINTS = 1e6  # along the paths of a group of sources whose wings are swept so
 SWEEP_STEP_PX = 32.0
@@ -281,7 +281,7 @@ def _alone(plan: Plan, at: Tile, t: FrameTarget) -> Group | None:
     place = np.array([t.x_px]), np.array([t.y_px])
     if target_class(plan, t) == len(plan.responses.classes):
         return *place, np.array([t.light_e]), t.path
-    reach = plan.halo_px + 2.0 * plan.responses.reach_core_px + LONGEST_PX
+    reach = plan.halo_px + 2.0 * plan.responses.reach_core_px + LONGEST_PIECE_PX
     low_x, low_y = at.x0 - reach - t.x_px, at.y0 - reach - t.y_px
     box = (low_x, low_x + 2.0 * reach + at.columns, low_y, low_y + 2.0 * reach + at.rows)
     part = part_within(t.path, box)
@@ -331,7 +331,7 @@ def _star_groups(
     places = np.append(x, middle[0]), np.append(y, middle[1])
     changes = plan.responses.streaks.light
     if changes is not None:
-        changes = replace(changes, steps=2 * changes.steps)
+        changes = replace(changes, steps=FINER * changes.steps)
     offsets = star_offsets(plan.camera, g, *places, aberration, changes)[:, :, 0]
     offsets, common = offsets[:, :-1], offsets[:, -1:]
     off_px = np.hypot(*(offsets - common)).max(axis=1)
@@ -393,7 +393,7 @@ def _core_class(plan: Plan, light_e: Array) -> np.ndarray:
 
 def _near_window(plan: Plan, k: int, at: Tile) -> tuple[Blur, ...]:
     """The responses of the sources of a class whose cores may light a window."""
-    margin = 2.0 * plan.responses.classes[k].radius_px + LONGEST_PX
+    margin = 2.0 * plan.responses.classes[k].radius_px + LONGEST_PIECE_PX
     y1, x1 = at.y0 + at.rows + margin, at.x0 + at.columns + margin
     return plan.responses.near(at.y0 - margin, y1, at.x0 - margin, x1)
 

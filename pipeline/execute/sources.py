@@ -112,7 +112,8 @@ def place_stars(
     if plan.extinction is not None:
         passed = visible * star_transmission(plan.extinction, plan.camera, g, observed)
         some = np.flatnonzero((visible > 0.0) & (visible < 1.0))
-        passed[some] = _passed_while_seen(plan, g, observed[some], proper[which[some]], y[some])
+        if len(some):
+            passed[some] = _passed_while_seen(plan, g, observed[some], proper[which[some]], y[some])
     return FrameStars(
         kept.source_id,
         x,
