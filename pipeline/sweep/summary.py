@@ -20,6 +20,7 @@ from pipeline.sweep.ledger import FIGURE, PAGE, REPORT, TABLE
 
 MOST_DRAWN, MOST_AXES, MOST_METRICS = 20_000, 5, 8
 MOST_MESSAGES = 20
+FOUND = "achieved_error_sigma"  # there where time is measured: what it is spent for
 NOT_METRICS = ("point", "seed", "status", "message", "content_digest", "frames_in_view")
 
 
@@ -53,17 +54,26 @@ def summarise(sweep: Sweep, out: Path, names: tuple[str, ...], told: JsonObject)
 
 
 def _messages(file: pq.ParquetFile) -> JsonObject:
-    """How many points failed, or err by more than was stated; the commonest messages of each."""
+    """How many points failed, or err by more than was stated; the commonest messages of each.
+
+    Where no point's error was measured, whether they are as stated is not known (None).
+    """
     counts: dict[str, Counter[str]] = {"failed": Counter(), "done": Counter()}
     for batch in file.iter_batches(columns=["message", "status"]):
         for text, status in zip(*(column.to_pylist() for column in batch.columns), strict=True):
             if text is not None:
                 counts[status][text[:300]] += 1
     failed, doubts = counts["failed"], counts["done"]
+    asked = FOUND in file.schema_arrow.names
+    measured = _spread(file, FOUND)["known"] if asked else 0
     return {
         "failed": failed.total(),
         "messages": dict(failed.most_common(MOST_MESSAGES)),
-        "errors": {"as_stated": not doubts, "doubted": doubts.total()},
+        "errors": {
+            "as_stated": not doubts if measured else None,
+            "measured": measured,
+            "doubted": doubts.total(),
+        },
         "doubts": dict(doubts.most_common(MOST_MESSAGES)),
     }
 

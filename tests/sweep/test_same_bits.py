@@ -132,7 +132,7 @@ def test_light_that_errs_by_more_than_was_stated_is_told(
         assert row["achieved_error_sigma"] > 2.0 * row["error_bound_sigma"]
         assert f"err by {row['achieved_error_sigma']:.3g} of their noise" in row["message"]
     report = json.loads((out / "report.json").read_text())
-    assert report["errors"] == {"as_stated": False, "doubted": 2}
+    assert report["errors"] == {"as_stated": False, "measured": 2, "doubted": 2}
     assert sorted(report["doubts"]) == sorted({row["message"] for row in rows})
     assert (report["failed"], report["messages"]) == (0, {})
     assert "pixels were found to err" in " ".join(done.stdout.split())
@@ -286,3 +286,14 @@ def test_only_what_differs_is_drawn(sweep_file, tmp_path):
     assert found["star rows"] == 1
     found = drawn(sweep_file(CASES["optics"]), tmp_path, (0, 1, 2))
     assert (found["stars light"], found["star rows"]) == (3, 3)
+
+
+@pytest.mark.parametrize(("metrics", "known"), [(["timing"], True), (["saturation"], None)])
+def test_errors_that_no_point_measured_are_not_said_to_be_as_stated(
+    metrics, known, sweep_file, tmp_path
+):
+    """The light is drawn again where time is told, as that is what it is spent for."""
+    axis = {"field": "sensor.read_noise_e", "values": [5.0, 9.0]}
+    path = sweep_file([axis], {"exposure.frames": 1}, metrics=metrics)
+    errors = sweep(path, tmp_path / "out", Options("synchronous"))["errors"]
+    assert errors == {"as_stated": known, "measured": 2 if known else 0, "doubted": 0}

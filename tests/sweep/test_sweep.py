@@ -740,7 +740,7 @@ def test_the_summary_of_a_large_table_is_of_all_its_pieces(tmp_path):
     table = pa.table(columns | {"x": np.arange(float(n))})
     pq.write_table(table, tmp_path / "points.parquet")
     file = pq.ParquetFile(tmp_path / "points.parquet")
-    nothing = {"errors": {"as_stated": True, "doubted": 0}, "doubts": {}}
+    nothing = {"errors": {"as_stated": None, "measured": 0, "doubted": 0}, "doubts": {}}
     assert _messages(file) == {"failed": n - 1, "messages": {"bad": n - 1}} | nothing
     told = {"known": n, "least": 0.0, "mean": (n - 1) / 2, "largest": n - 1.0}
     assert _spread(file, "x") == told
