@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
+from functools import cache
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
@@ -227,8 +228,13 @@ def _report(
         **_empty_noise(plan),
         "remarks": list(plan.remarks),
         "memory": {"peak_driver_mb": peak_mb()},
-        "versions": {"nightglass": own_version()} | {n: version(n) for n in LIBRARIES},
+        "versions": _versions(),
     }
+
+
+@cache
+def _versions() -> dict[str, str]:
+    return {"nightglass": own_version()} | {name: version(name) for name in LIBRARIES}
 
 
 def _errors(plan: Plan, drawn: SourceBounds, checks: list[JsonObject]) -> JsonObject:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -285,7 +286,13 @@ def apply_override(data: object, override: str) -> None:
 
 def scene_yaml(scene: Scene) -> str:
     """A scene as YAML text, defaults filled in."""
-    return write_yaml(json.loads(json.dumps(scene.as_dict())))
+    return _yaml_of(json.dumps(scene.as_dict()))
+
+
+@lru_cache(maxsize=1)
+def _yaml_of(text: str) -> str:
+    """JSON as YAML; the last one is kept, as a product's beginning and its end write the same."""
+    return write_yaml(json.loads(text))
 
 
 def _mistake(error: ErrorDetails, data: JsonValue, of_scene: bool) -> Mistake:

@@ -115,7 +115,7 @@ class CutOff(Exception):
 @example(256, 256, "threads", 4, None, 0)
 @example(512, 256, "threads", 1, 7, 0)
 @example(256, 768, "synchronous", 1, None, 2)
-@settings(max_examples=5)
+@settings(max_examples=3)
 def test_same_bits_whatever_the_tiles_workers_order_and_interruption(
     whole, reference, tmp_path_factory, rows, columns, scheduler, workers, order, cut
 ):
