@@ -44,6 +44,7 @@ from pipeline.plan.sensor.detector import (
     typical_read_noise_e,
 )
 from pipeline.plan.sensor.rolling import check_rolling, shear_warnings
+from pipeline.plan.sensor.time_delay import edge_warnings
 from pipeline.plan.sky.doubts import lacks_night, sky_doubts
 from pipeline.plan.stars.brightest import brightest_target_e
 from pipeline.plan.stars.field_stars import FieldStars
@@ -198,6 +199,7 @@ def _of_sensor(resolved: ResolvedScene, maps: SensorMaps, g: Geometry) -> list[s
         *unit_warnings(resolved.scene),
         *field_streak_warnings(resolved, g),
         *shear_warnings(resolved, g),
+        *edge_warnings(resolved, g),
     ]
 
 

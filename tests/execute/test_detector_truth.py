@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.physics.noise.transfer import exposed_share
+from pipeline.physics.vectors import to_angles
+from pipeline.plan.pointing.geometry import plan_geometry
 from pipeline.route.prepare import plan_scene, prepare
 from pipeline.route.run import Options, render
 from pipeline.store.product import check
@@ -81,3 +84,34 @@ def test_tdi_edges_in_frames(tmp_path: Path) -> None:
     assert level == pytest.approx(np.full(SIDE, 1000.0), rel=0.02)
     (line,) = (d for d in plan_scene(part)["decisions"] if d["component"] == "tdi")
     assert "0.375 of the rows" in line["reason"]
+
+
+def test_streaks_in_rows_exposed_in_part_are_told_with_their_size(tmp_path: Path) -> None:
+    """Against short exposures of charge that is on the array, added up as it moves."""
+    per_s, parts = 60.0, 60
+    aim = prepare(scene(pointing={"mode": "target", "target": "t"})).plan
+    ahead = plan_geometry(aim.scene, np.zeros(1, np.int64), aim.dut1_s).attitude[0, 0, 2]
+    ra, dec = (float(np.degrees(v)) for v in to_angles(ahead))
+    pointing = {
+        "mode": "rate", "boresight_ra_deg": ra, "boresight_dec_deg": dec + 0.19,
+        "rate_ra_arcsec_s": 0.0, "rate_dec_arcsec_s": -210.0,
+    }  # fmt: skip
+    changes: dict[str, Any] = {"pointing": pointing, "output": {"layers": ["dn", "targets_e"]}}
+    readout = {"kind": "tdi", "rows_per_s": per_s}
+    whole = scene({"readout": readout | {"edges": "partial"}}, **changes)
+    short = {"integration_s": 2.0 / parts, "frames": parts, "cadence_s": 2.0 / parts}
+    render(whole, tmp_path / "whole")
+    render(scene({"readout": readout}, exposure=short, **changes), tmp_path / "parts")
+    found = frames(tmp_path / "whole")["targets_e"][0]
+    expected = np.zeros((SIDE, SIDE))
+    for k, image in enumerate(frames(tmp_path / "parts")["targets_e"]):
+        moved = round(per_s * ((k + 0.5) * 2.0 / parts - 1.0))
+        on = np.arange(max(0, -moved), min(SIDE, SIDE - moved))
+        expected[on] += image[on + moved]
+    (told,) = (w for w in prepare(whole).plan.warnings if "readout.edges" in w)
+    off_e = np.abs(found - expected).max()
+    told_e = float(re.search(r"up to ([\d.e+-]+) e-", told)[1])
+    assert 0.2 * found.max() < off_e < told_e < 20.0 * off_e
+    kept = scene({"readout": readout | {"edges": "partial", "rows_per_s": 0.0}})
+    for quiet in (scene({"readout": readout}, **changes), kept):
+        assert not [w for w in prepare(quiet).plan.warnings if "readout.edges" in w]
