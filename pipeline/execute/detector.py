@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.arrays import Array, SensorMaps
 from pipeline.physics.noise.streams import stream_key
 from pipeline.physics.noise.terms import Chain, StreamPlace
-from pipeline.physics.noise.transfer import Smear, exposed_share
+from pipeline.physics.noise.transfer import Smear, exposed_share, passed_means
 from pipeline.plan.tiles import Tile
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import Detector, FrameTransfer, TimeDelay
@@ -29,10 +29,10 @@ def tile_chain(
         return value[part] if isinstance(value, np.ndarray) else value
 
     flat, dark_e = cut(maps.flat), cut(maps.dark_e_per_s) * integration_s
-    if isinstance(d.readout, TimeDelay) and d.readout.edges == "partial":
-        share = exposed_share(s.shape[0], d.readout.rows_per_s, integration_s)[part[0], None]
-        whole = np.ones((tile.rows, tile.columns))[::step, ::step]
-        flat, dark_e = flat * share * whole, dark_e * share * whole
+    if isinstance(d.readout, TimeDelay):
+        way = s.shape[0], d.readout, integration_s
+        flat, dark_e_s = (_passed(v, part, *way) for v in (maps.flat, maps.dark_e_per_s))
+        dark_e = dark_e_s * integration_s
     return Chain(
         flat=flat,
         dark_e=dark_e,
@@ -51,6 +51,20 @@ def tile_chain(
         smear=_smear(d, integration_s),
         lag=0.0 if d.lag is None else d.lag.fraction,
     )
+
+
+def _passed(
+    value: float | Array, part: tuple[slice, slice], rows: int, r: TimeDelay, integration_s: float
+) -> float | Array:
+    """What charge that moves meets of a term in a part of the frame: the mean along its way; where
+    it is exposed in part, that share of it."""
+    if isinstance(value, np.ndarray):
+        value = passed_means(value[:, part[1]], r.rows_per_s, integration_s)[part[0]]
+    if r.edges == "full":
+        return value
+    columns = len(range(part[1].start, part[1].stop, part[1].step))
+    share = exposed_share(rows, r.rows_per_s, integration_s)[part[0], None]
+    return value * share * np.ones((1, columns))
 
 
 def _smear(d: Detector, integration_s: float) -> Smear | None:

@@ -289,18 +289,24 @@ def test_a_polynomial_bends_as_far_as_it_says(coefficients):
     assert collected[-1] == full_e
 
 
-def test_tdi_meets_the_mean_of_each_column():
-    """Of the flat and of the dark alike; the columns as they were."""
-    from pipeline.physics.noise.transfer import column_means
-
-    changes = {"prnu": 0.02, "hot": {"fraction": 1e-2}}
-    still = prepare(scene(changes)).maps
-    moved = prepare(scene(changes | {"readout": {"kind": "tdi", "rows_per_s": 3.0}})).maps
-    for name in ("flat", "dark_e_per_s"):
-        before, after = getattr(still, name), getattr(moved, name)
-        assert np.ptp(before, axis=0).max() > 0.0
-        np.testing.assert_array_equal(after, np.broadcast_to(before.mean(axis=0), before.shape))
-        np.testing.assert_array_equal(after, column_means(before))
+@pytest.mark.parametrize("edges", ["full", "partial"])
+def test_tdi_meets_what_its_charge_passes(edges):
+    """A hot pixel and one without response: in the rows whose charge passes them in the exposure,
+    as often as it does; others know nothing of them."""
+    faults = {"hot": {"pixels": [[200, 9, 2e4]]}, "dead": {"pixels": [[100, 9]]}}
+    readout = {"kind": "tdi", "rows_per_s": 5.0, "edges": edges}
+    one = scene(faults | {"readout": readout})
+    maps, whole = prepare(one).maps, Tile(0, 0, 0, 0, SIDE, SIDE)
+    chain = tile_chain(one, maps, whole, 2.0)
+    part = tile_chain(one, maps, Tile(0, 0, 190, 4, 20, 8), 2.0, 2)
+    assert np.array_equal(np.asarray(part.dark_e), np.asarray(chain.dark_e)[190:210:2, 4:12:2])
+    assert np.array_equal(np.asarray(part.flat), np.asarray(chain.flat)[190:210:2, 4:12:2])
+    dark, flat = np.asarray(chain.dark_e), np.asarray(chain.flat)
+    met = np.clip(5.5 - np.abs(np.arange(SIDE) - 200), 0.0, 1.0)  # of the way of 10 rows
+    assert dark[50:250, 9] == pytest.approx((6.0 + 4e3 * met)[50:250], rel=1e-12)
+    met = np.clip(5.5 - np.abs(np.arange(SIDE) - 100), 0.0, 1.0)
+    assert flat[50:250, 9] == pytest.approx((1.0 - 0.1 * met)[50:250], rel=1e-12)
+    assert (flat[:, 20] < 1.0).any() == (edges == "partial")
 
 
 def test_tdi_holds_an_image_that_moves_with_the_charge(tmp_path):

@@ -86,7 +86,7 @@ light = a(*range(12)).reshape(4, 3)
 [transfer.lag_frames(f, e, 1.) for f in (.01, .1, .9) for e in (0., 1., 2., 1e3, 1e6)],
     transfer.lagged_e([light, 2 * light, 0 * light], .25)
 [transfer.exposed_share(5, r, s) for r, s in ((0., 1.), (1., 2.), (-3., 1.), (100., 1.), (1e-9,
-    1.))], transfer.column_means(3.), transfer.column_means(light)
+    1.))], transfer.passed_means(light, 1., 2.)
 """,
     "detection": """
 noisy = np.random.default_rng(1).normal(100., 5., (40, 30))

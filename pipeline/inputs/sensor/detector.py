@@ -10,22 +10,19 @@ from numpy.typing import NDArray
 from pipeline.arrays import Array, SensorMaps, Value
 from pipeline.inputs.sensor.images import gather_image
 from pipeline.physics.noise.patterns import bias_pattern_dn, chosen, hot_dark_e_s, prnu
-from pipeline.physics.noise.transfer import column_means
 from pipeline.plan.sensor.detector import linearity
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.detector import (
     Detector,
     Failing,
     HotPixels,
-    TimeDelay,
 )
 
 
 def with_detector(maps: SensorMaps, scene: Scene) -> SensorMaps:
     """The maps with all that is fixed about the detector put in; what is off costs no image.
 
-    Order: the sensor's own images, then amplifiers, then patterns, then faults. In TDI flat and
-    dark are means of their columns, as charge passes all rows.
+    Order: the sensor's own images, then amplifiers, then patterns, then faults.
     """
     d, shape, seed = scene.sensor.detector, scene.sensor.shape, scene.seed
     assert d is not None
@@ -40,9 +37,6 @@ def with_detector(maps: SensorMaps, scene: Scene) -> SensorMaps:
     if d.dead is not None:
         failing = gather_failing(d.dead, "dead", shape, seed)
         maps = replace(maps, flat=np.where(failing, 0.0, maps.flat))
-    if isinstance(d.readout, TimeDelay):
-        flat, dark = column_means(maps.flat), column_means(maps.dark_e_per_s)
-        maps = replace(maps, flat=flat, dark_e_per_s=dark)
     if d.nonlinearity is not None:
         maps = replace(maps, linearity=linearity(d, float(scene.sensor.full_well_e or 0.0)))
     if d.bad is not None:
@@ -56,7 +50,7 @@ def gather_faults(scene: Scene) -> dict[str, Array] | None:
 
     row, column (n,); fault : bad, dead or hot, a row for each that a pixel has; reads_dn : of bad
     ones, else -1; dark_e_per_s : of hot ones beyond the sensor's own, else 0. Sorted by place.
-    In TDI a pixel is a place of the frame: dead and hot ones act on their whole columns.
+    In TDI a pixel is a place of the array: dead and hot ones act on all charge that passes them.
     """
     d, shape, seed = scene.sensor.detector, scene.sensor.shape, scene.seed
     if d is None:

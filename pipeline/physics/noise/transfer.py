@@ -75,8 +75,21 @@ def exposed_share(rows: int, rows_per_s: float, integration_s: float) -> Array:
     return np.asarray(np.clip((high - low) / way, 0.0, 1.0))
 
 
-def column_means(value: float | Array) -> float | Array:
-    """What charge meets that is moved over all rows: the mean of each column, in every row."""
-    if not isinstance(value, np.ndarray):
+def passed_means(value: Array, rows_per_s: float, integration_s: float) -> Array:
+    """What charge meets on its way over the rows of an image (ny, nx): the mean of each column
+    along as much of the way as is on the array, by where the charge is at mid-exposure, as in
+    `exposed_share`.
+    """
+    way = abs(rows_per_s) * integration_s
+    if way == 0.0:
         return value
-    return np.broadcast_to(value.mean(axis=0), value.shape).copy()
+    rows = len(value)
+    sums = np.concatenate([np.zeros((1, value.shape[1])), np.cumsum(value, axis=0)])
+    row = np.arange(rows) + 0.5  # from the array's lower edge
+
+    def up_to(at: Array) -> Array:
+        below = np.minimum(at.astype(np.intp), rows - 1)
+        return np.asarray(sums[below] + (at - below)[:, None] * value[below])
+
+    low, high = np.maximum(row - 0.5 * way, 0.0), np.minimum(row + 0.5 * way, rows)
+    return np.asarray((up_to(high) - up_to(low)) / (high - low)[:, None])

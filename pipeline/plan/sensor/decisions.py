@@ -193,7 +193,8 @@ def _time_delay(scene: Scene, r: TimeDelay, ends: Geometry) -> str:
         f"charge moves {r.rows_per_s:g} rows/s in {r.clock_phases} steps a row; a star in the "
         f"centre moves {worst + r.rows_per_s:.5g} rows/s, so that it streaks "
         f"{abs(worst) * took[0]:.3g} px along and {across:.3g} px across. Flat and dark are means "
-        f"of their columns. All rows share the exposure's start and end; {_edges(scene, r)}"
+        "of what the charge passes. All rows share the exposure's start and end; "
+        f"{_edges(scene, r)}"
     )
     if not scene.targets or r.rows_per_s == 0:
         return text

@@ -12,7 +12,7 @@ from pipeline.physics.noise.chain import calibrated_e, to_dn
 from pipeline.physics.noise.patterns import bias_pattern_dn, chosen, hot_dark_e_s, prnu
 from pipeline.physics.noise.streams import poisson_image, standard_normals, stream_key
 from pipeline.physics.noise.terms import Chain, StreamPlace
-from pipeline.physics.noise.transfer import column_means, lag_frames, lagged_e, smear_e
+from pipeline.physics.noise.transfer import lag_frames, lagged_e, passed_means, smear_e
 from pipeline.physics.noise.wells import bloom, collected_e, measured_e
 
 
@@ -176,10 +176,18 @@ def test_calibration_gives_the_light_back(rounding: str) -> None:
     assert got[good] == pytest.approx(light[good], abs=0.03)
 
 
-def test_column_means() -> None:
-    image = np.arange(12.0).reshape(3, 4)
-    assert np.array_equal(column_means(image), np.tile([4.0, 5.0, 6.0, 7.0], (3, 1)))
-    assert column_means(2.0) == 2.0
+@pytest.mark.parametrize("way", [0.0, 0.3, 1.0, 2.7, 6.0, 11.0, 50.0])
+def test_charge_meets_what_it_passes(way: float) -> None:
+    """Followed in small steps of time; over all rows it is the mean of each column."""
+    image = np.random.default_rng(3).uniform(0.5, 2.0, (12, 4))
+    at = np.arange(12)[:, None] + way * ((np.arange(40_000) + 0.5) / 40_000 - 0.5)
+    on, row = (at > -0.5) & (at < 11.5), np.clip(np.rint(at), 0, 11).astype(int)
+    expected = np.stack([image[row[k][on[k]]].mean(axis=0) for k in range(12)])
+    for rate in (way / 2.0, -way / 2.0):
+        found = passed_means(image, rate, 2.0)
+        assert found == pytest.approx(expected, rel=2e-3)
+    if way >= 24.0:
+        assert found == pytest.approx(np.tile(image.mean(axis=0), (12, 1)), rel=1e-12)
 
 
 def test_order_of_the_extras() -> None:
