@@ -17,6 +17,7 @@ from pipeline.spec.sensor.detector import RollingShutter
 
 MOST_FRAMES = 100_000
 BIAS_PLANNED_AS_S = 1e-6  # what plans take for the exposure of bias frames: no light, no division
+SAME_S = 1e-9  # sums of times are rounded: 3 x 0.2 s end after 0.6 s
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,7 @@ def _begin_s(
         slew = (end + late_s, end + late_s + dwell.slew.duration_s)
     if dwell.start_s is None:
         return (end if slew is None else slew[1]) + dwell.wait_s, slew
-    if dwell.start_s < end:
+    if dwell.start_s < end - SAME_S:
         raise BadInput(
             f"dwells.{i}.start_s",
             dwell.start_s,

@@ -146,6 +146,16 @@ def test_settling_after_a_slew(scene: Make, direction_deg: float) -> None:
         assert np.allclose(left, share * wave[:, ::stride], rtol=0.0, atol=1e-12)
 
 
+def test_a_dwell_may_start_when_the_one_before_it_ends(scene: Make) -> None:
+    """3 x 0.2 s are 0.6 s, though their sum is rounded up; not a millisecond before."""
+    times = {"frames": 3, "integration_s": 0.2}
+    s = scene({"dwells": [times, times | {"start_s": 0.6}], "exposure.cadence_s": None})
+    assert np.allclose(frame_times(s, np.arange(6))[0], 0.2 * np.arange(6))
+    early = scene({"dwells": [times, times | {"start_s": 0.599}], "exposure.cadence_s": None})
+    with pytest.raises(BadInput, match=r"dwells\.1\.start_s"):
+        frame_times(early, np.arange(1))
+
+
 BAD: dict[str, tuple[list[dict[str, Any]], str, str]] = {
     "overlap": ([{}, {"start_s": 3.0}], "dwells.1.start_s", "when the dwell before it ends"),
     "first slew": ([{"slew": {"duration_s": 1.0}}], "dwells.0.slew", "after another dwell"),
