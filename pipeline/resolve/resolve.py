@@ -32,7 +32,7 @@ from pipeline.plan.pointing.air import weather_remarks
 from pipeline.plan.pointing.geometry import camera_of, plan_geometry, sampled_frames
 from pipeline.plan.pointing.paths import near_frame
 from pipeline.plan.pointing.site import turn_warnings
-from pipeline.plan.pointing.timescales import hurried_remarks
+from pipeline.plan.pointing.timescales import hurried_remarks, light_warnings
 from pipeline.plan.resolved import ResolvedScene, resolved_scene
 from pipeline.plan.response.responses import plan_responses
 from pipeline.plan.response.sources import KnownSources
@@ -188,7 +188,11 @@ def _limit_g_mag(scene: Scene) -> float | None:
 
 def _of_targets(scene: Scene, g: Geometry, facts: Facts) -> list[str]:
     """The warnings on where targets are between rows of tables, and on how near they are."""
-    return [*table_warnings(scene, g, facts.ifov_rad), *near_warnings(scene, g)]
+    return [
+        *table_warnings(scene, g, facts.ifov_rad),
+        *near_warnings(scene, g),
+        *light_warnings(scene, g, near_frame(scene, g)),
+    ]
 
 
 def _of_sensor(resolved: ResolvedScene, maps: SensorMaps, g: Geometry) -> list[str]:

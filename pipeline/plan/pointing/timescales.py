@@ -78,6 +78,19 @@ def light_off(scene: Scene, g: Geometry, near: NDArray[np.bool_]) -> float:
     return max(plain, CLOSE * scene.accuracy.flux_fraction + moved * flicker_share(g, means))
 
 
+def light_warnings(scene: Scene, g: Geometry, near: NDArray[np.bool_]) -> list[str]:
+    """That light between the nodes is off by more than `accuracy.flux_fraction` asks for; of what
+    changes too fast to be looked at `hurried_remarks` speaks."""
+    off, asked = light_off(scene, g, near), scene.accuracy.flux_fraction
+    if not asked < off < 1.0:
+        return []
+    return [
+        f"targets: light that changes in an exposure is drawn in steps, {g.nodes} nodes of the "
+        f"frames looked at: a pixel may be off by up to {off:.2g} of a target's light in the "
+        f"exposure (asked: {asked:g}, accuracy.flux_fraction)"
+    ]
+
+
 def hurried_remarks(scene: Scene, g: Geometry, near: NDArray[np.bool_]) -> list[str]:
     """What is said where tables or turns are too fast for as many looks as there are."""
     most = np.array([*(most_looks(t.body) for t in scene.targets), MOST_LOOKS])[:, None]

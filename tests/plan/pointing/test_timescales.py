@@ -20,7 +20,7 @@ from pipeline.plan.bodies.changes import apart_s, has_means, looks_asked, most_l
 from pipeline.plan.bodies.changes import mean_light as mean_light_around
 from pipeline.plan.pointing import timescales
 from pipeline.plan.pointing.geometry import _geometry, plan_geometry
-from pipeline.plan.pointing.timescales import hurried_remarks, light_off, looks
+from pipeline.plan.pointing.timescales import hurried_remarks, light_off, light_warnings, looks
 from pipeline.plan.sensor.rolling import _of_every_dwell
 from pipeline.route.prepare import plan_scene
 from pipeline.spec.load import parse_scene
@@ -337,6 +337,11 @@ def test_of_several_flashes_the_one_that_moves_most_is_told() -> None:
     both, still, moving = (light_off(made, g, np.array(which)[:, None]) for which in near)
     assert 5.0 * still < moving
     assert both == pytest.approx(moving, rel=0.01)
+    (said,) = (w for w in plan_scene(made)["warnings"] if w.startswith("targets: light"))
+    assert f"up to {both:.2g} of a target's light in the exposure (asked: 0.001" in said
+    asked = made.accuracy.model_copy(update={"flux_fraction": 1.1 * both})
+    kept = made.model_copy(update={"accuracy": asked})
+    assert not light_warnings(kept, g, np.ones((2, 1), bool))
 
 
 @pytest.mark.parametrize("turns", [128, 256, 277.3])
