@@ -49,6 +49,7 @@ from pipeline.plan.sky.doubts import lacks_night, sky_doubts
 from pipeline.plan.stars.brightest import brightest_target_e
 from pipeline.plan.stars.field_stars import FieldStars
 from pipeline.plan.stars.field_streaks import field_streak_warnings
+from pipeline.plan.stars.kinked_paths import kink_warnings
 from pipeline.plan.targets.decisions import mesh_notices
 from pipeline.plan.targets.near import near_warnings
 from pipeline.plan.targets.orbit_age import orbit_remarks, table_warnings
@@ -204,6 +205,7 @@ def _of_sensor(resolved: ResolvedScene, maps: SensorMaps, g: Geometry) -> list[s
         *field_streak_warnings(resolved, g),
         *shear_warnings(resolved, g),
         *edge_warnings(resolved, g),
+        *kink_warnings(resolved, g),
     ]
 
 

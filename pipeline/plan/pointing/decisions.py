@@ -10,7 +10,7 @@ from pipeline.physics.constants import ARCSEC_RAD
 from pipeline.plan.decision import Decision
 from pipeline.plan.pointing.air import needs_air, terms_of
 from pipeline.plan.pointing.attitude_motion import SHARPEST_PX, motion_plan
-from pipeline.plan.pointing.geometry import ROUGH_PX
+from pipeline.plan.pointing.geometry import bend_px
 from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.plan.timing import dwell_plans, frame_count, integration_range_s
 from pipeline.spec.pointing.observer import GroundObserver
@@ -56,11 +56,12 @@ def _pointings(scene: Scene) -> Iterator[tuple[Pointing, str]]:
 
 def _tables(basis: PlanBasis) -> list[Decision]:
     """Of tables of attitudes."""
-    return [
-        _table_told(basis.scene, p, where)
-        for p, where in _pointings(basis.scene)
-        if isinstance(p, TablePointing)
-    ]
+    scene = basis.scene
+    tables = [(p, where) for p, where in _pointings(scene) if isinstance(p, TablePointing)]
+    if not tables:
+        return []
+    off_px = bend_px(scene, basis.frames, basis.resolved.dut1_s)
+    return [_table_told(scene, p, where, off_px) for p, where in tables]
 
 
 def _refraction(basis: PlanBasis) -> list[Decision]:
@@ -79,8 +80,11 @@ def _refraction(basis: PlanBasis) -> list[Decision]:
     ]
 
 
-def _table_told(scene: Scene, p: TablePointing, where: str) -> Decision:
-    """What is known of the error between the rows of a table of attitudes."""
+def _table_told(scene: Scene, p: TablePointing, where: str, off_px: float) -> Decision:
+    """What is known of the error between the rows of a table of attitudes.
+
+    off_px : of straight lines between an exposure's nodes
+    """
     told = "not known: too few rows"
     if p.error_arcsec is not None:
         px = p.error_arcsec * ARCSEC_RAD / scene.sensor.ifov_rad
@@ -89,8 +93,8 @@ def _table_told(scene: Scene, p: TablePointing, where: str) -> Decision:
         "pointing_table",
         True,
         f"{len(p.rows or ())} rows{where}, {p.interpolation} between them; error "
-        f"between rows {told}; where rows are noisy, straight lines between an "
-        f"exposure's nodes may be off by up to {ROUGH_PX:g} px"
+        f"between rows {told}; straight lines between an exposure's nodes are off by at most "
+        f"{off_px:.2g} px in the frames looked at"
         f"{'' if p.source is None else f'; {p.source}'}",
         bound=None if p.error_arcsec is None else OVER_ROWS * p.error_arcsec,
         unit="arcsec",

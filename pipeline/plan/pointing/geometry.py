@@ -64,6 +64,7 @@ J2000_JD = 2_451_545.0
 PATH_TOLERANCE_PX = 2e-3  # how far linear motion between nodes may be from the real path
 FINE_PX, FINE_NODES = 2e-4, 129  # the same at the usual accuracy, where so many nodes suffice
 FEWEST_NODES, MOST_NODES = 9, 1025
+LOOKS_BETWEEN = 8  # intervals between two nodes in which the paths of tables are looked at
 ROUNDED_PX = 1e-9  # places are no better known
 ROUGH_PX = 0.1  # how far a table of attitudes may be off between MOST_NODES nodes
 MOST_DWELLS_SAMPLED = 64
@@ -249,9 +250,15 @@ def bend_px(scene: Scene, g: Geometry, dut1_s: float) -> float:
     """How far paths of stars and targets are from straight lines between the nodes, at most [px].
 
     Of those over and beside the frames of a geometry, without random motion: how far that is from
-    straight is in its own plan.
+    straight is in its own plan. Between the rows of a table paths are looked at, as they may be
+    kinks, of which the nodes themselves tell too little.
     """
     each = [g.frame_slice(k) for k in range(len(g.frame))]
+    if any(p.pointing.mode == "table" for p in dwell_plans(scene)):
+        many = [LOOKS_BETWEEN * (one.nodes - 1) + 1 for one in each]
+        fine = [_geometry(scene, one.frame, n, dut1_s) for one, n in zip(each, many, strict=True)]
+        missed = [missed_px(scene, f, _star_paths(scene, f), LOOKS_BETWEEN) for f in fine]
+        return max(ROUNDED_PX, *(float(m[0]) for m in missed))
     if motion_plan(scene) is not None:
         each = [_geometry(scene, one.frame, one.nodes, dut1_s) for one in each]
     found = (float(bends_px(scene, one, _star_paths(scene, one))[0]) for one in each)

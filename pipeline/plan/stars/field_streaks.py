@@ -22,7 +22,7 @@ def field_streak_warnings(plan: ResolvedScene, g: Geometry) -> list[str]:
     along a line, or, of a short streak, F L/2 of the largest.
     """
     field = plan.responses.field
-    if field is None or not (length_px := _longest_px(plan, g)) > 0.0:
+    if field is None or not (length_px := longest_px(plan, g)) > 0.0:
         return []
     from pipeline.plan.optics.psf_field import SAMPLES, image_of
 
@@ -57,7 +57,7 @@ def _of_streak(images: Array, length_px: float, samples: int) -> float:
     return min(float(images.max()), line / length_px)
 
 
-def _longest_px(plan: ResolvedScene, g: Geometry) -> float:
+def longest_px(plan: ResolvedScene, g: Geometry) -> float:
     """The longest streak of stars, or of a target that comes into the frame."""
     longest = 0.0 if plan.scene.stars is None else plan.responses.streaks.longest_px
     x, y = g.target_x_px, g.target_y_px
