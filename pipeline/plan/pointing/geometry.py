@@ -255,14 +255,17 @@ def bend_px(scene: Scene, g: Geometry, dut1_s: float) -> float:
     """
     each = [g.frame_slice(k) for k in range(len(g.frame))]
     if any(p.pointing.mode == "table" for p in dwell_plans(scene)):
-        many = [LOOKS_BETWEEN * (one.nodes - 1) + 1 for one in each]
-        fine = [_geometry(scene, one.frame, n, dut1_s) for one, n in zip(each, many, strict=True)]
-        missed = [missed_px(scene, f, _star_paths(scene, f), LOOKS_BETWEEN) for f in fine]
-        return max(ROUNDED_PX, *(float(m[0]) for m in missed))
+        return max(ROUNDED_PX, *(_beside_px(scene, one, dut1_s) for one in each))
     if motion_plan(scene) is not None:
         each = [_geometry(scene, one.frame, one.nodes, dut1_s) for one in each]
     found = (float(bends_px(scene, one, _star_paths(scene, one))[0]) for one in each)
     return max(ROUNDED_PX, *found)
+
+
+def _beside_px(scene: Scene, g: Geometry, dut1_s: float) -> float:
+    """How far paths of one frame are from the lines between its nodes, looked at in between."""
+    fine = _geometry(scene, g.frame, LOOKS_BETWEEN * (g.nodes - 1) + 1, dut1_s)
+    return float(missed_px(scene, fine, _star_paths(scene, fine), LOOKS_BETWEEN)[0])
 
 
 def _star_paths(scene: Scene, g: Geometry) -> Array:
