@@ -118,6 +118,17 @@ def parts_of(plan: Plan, x_px: float, y_px: float, light_e: float) -> list[tuple
     return [(blur, float(light[0])) for blur, _, light in plan.responses.parts(*one)]
 
 
+def parts_along(
+    plan: Plan, path: Path, x_px: float, y_px: float, light_e: float, step_px: float
+) -> list[tuple[Blur, Path, float]]:
+    """The same along the path of a source, with the path of each part: of a field of responses the
+    light of each step of so many px is shared out among those around it."""
+    field = plan.responses.field
+    if field is None:
+        return [(plan.responses.blur, path, light_e)]
+    return [(b, part, light_e * s) for b, part, s in field.along(path, x_px, y_px, step_px)]
+
+
 def is_near(stars: FrameStars, tile: Tile, reach: float) -> NDArray[np.bool_]:
     """Which stars (n,) are within `reach` pixels of a tile."""
     place = (tile.y0, tile.x0, tile.rows, tile.columns)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate
-from pipeline.execute.blocks import around, class_of, parts_of, target_class
+from pipeline.execute.blocks import around, class_of, parts_along, parts_of, target_class
 from pipeline.execute.light import add_beyond
 from pipeline.execute.sources import (
     FrameTarget,
@@ -293,8 +293,7 @@ def _quadrature_cost(plan: Plan, at: Tile, group: Group, most: float) -> float |
 
     None for a group that is drawn by transforms: of several sources, of a response without a
     known profile, or of more than `most` with that profile (which other sources share, but may be
-    dear) or of responses that change along its path, where it is no brighter than the core classes
-    serve.
+    dear), where it is no brighter than the core classes serve.
     """
     _, _, light, path = group
     r = plan.responses
@@ -304,9 +303,8 @@ def _quadrature_cost(plan: Plan, at: Tile, group: Group, most: float) -> float |
     cost = at.rows * at.columns * values
     if light[0] > min(r.classes[-1].brightest_e, r.classes[-1].target_e):
         return cost
-    along = r.field is not None and path.length_px > r.longest_px(path, FINER)
     profile = max(profile_s(b, r.reach_px) for b in r.blurs) / VALUE_S
-    return cost if cost + profile <= most and not along else None
+    return cost if cost + profile <= most else None
 
 
 def _integrable(blurs: tuple[Blur, ...], path: Path, size: tuple[int, int]) -> bool:
@@ -374,16 +372,29 @@ def _pieces(
         classes = _core_class(plan, light)
         for k in np.unique(classes):
             near = [core_of(b, _radius(plan, int(k), b)) for b in _near_window(plan, int(k), at)]
-            for x0, y0, piece, share in pieces(path, plan.responses.longest_px(path, FINER)):
+            for x0, y0, piece, share in pieces(path):
                 reach = max(reach_px(core, piece) for core in near)
                 off_x = np.maximum(at.x0 - x - x0, x + x0 - (at.x0 + at.columns - 1))
                 off_y = np.maximum(at.y0 - y - y0, y + y0 - (at.y0 + at.rows - 1))
                 mine = (classes == k) & (off_x < reach) & (off_y < reach)
                 if mine.any():
                     found = x[mine] + x0, y[mine] + y0, light[mine] * share
-                    for blur, which, part in plan.responses.parts(*found):
-                        core = core_of(blur, _radius(plan, int(k), blur))
-                        yield core, piece, found[0][which], found[1][which], part
+                    for blur, part, u, v, part_e in _shared_out(plan, int(k), piece, *found):
+                        yield core_of(blur, _radius(plan, int(k), blur)), part, u, v, part_e
+
+
+def _shared_out(
+    plan: Plan, k: int, piece: Path, x: Array, y: Array, light: Array
+) -> Iterator[tuple[Blur, Path, Array, Array, Array]]:
+    """(response, piece, x, y, light) of sources (n,) of a class on pieces alike: of a field of
+    responses each by itself, in FINER steps than drawings take."""
+    if plan.responses.field is None:
+        yield plan.responses.blur, piece, x, y, light
+        return
+    for i, place in enumerate(zip(x.tolist(), y.tolist(), light.tolist(), strict=True)):
+        step_px = plan.field_step_px(piece, plan.responses.classes[k].radius_px, place[2])
+        for blur, part, light_e in parts_along(plan, piece, *place, step_px / FINER):
+            yield blur, part, x[[i]], y[[i]], np.array([light_e])
 
 
 def _core_class(plan: Plan, light_e: Array) -> np.ndarray:

@@ -8,7 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
-from pipeline.execute.blocks import LightBlock, around, class_of, is_near, parts_of, target_class
+from pipeline.execute.blocks import (
+    LightBlock,
+    around,
+    class_of,
+    is_near,
+    parts_along,
+    parts_of,
+    target_class,
+)
 from pipeline.execute.guards import guard_brightness, guard_light, guard_stars, inside_tile
 from pipeline.execute.sources import (
     FrameTarget,
@@ -254,13 +262,14 @@ def _draw_path(
         add_beyond(plan, image, tile, path, x, y, light_e, reach_px)
         return
     radius = plan.responses.classes[k].radius_px
-    longest_px = plan.responses.longest_px(path)
-    for x0, y0, piece, share in pieces(path, longest_px, _box(tile, radius, x, y)):
-        place = x + x0, y + y0, light_e * share
-        if _reaches(tile, radius, piece, *place[:2]):
-            for blur, part_e in parts_of(plan, *place):
-                swept = (*still_core(blur, radius, piece), piece)
-                _add(image, tile, stamp_along(*swept, place[1], place[0]), part_e)
+    step_px = plan.field_step_px(path, radius, light_e)
+    for x0, y0, piece, share in pieces(path, near=_box(tile, radius, x, y)):
+        at_x, at_y = x + x0, y + y0
+        if _reaches(tile, radius, piece, at_x, at_y):
+            parts = parts_along(plan, piece, at_x, at_y, light_e * share, step_px)
+            for blur, part, part_e in parts:
+                swept = (*still_core(blur, radius, piece), part)
+                _add(image, tile, stamp_along(*swept, at_y, at_x), part_e)
 
 
 def add_beyond(
@@ -279,9 +288,10 @@ def add_beyond(
     reach_px : where its light ends
     """
     guard_brightness(plan, x, y, light_e)
-    for blur, part_e in parts_of(plan, x, y, light_e):
-        window = image.shape, (tile.y0, tile.x0), y, x, reach_px, finer, plan.scene.sensor.shape
-        image += part_e * draw_quadrature(blur, path, *window)
+    step_px = plan.field_step_px(path, plan.responses.reach_core_px, light_e) / (1 + finer)
+    window = image.shape, (tile.y0, tile.x0), y, x, reach_px, finer, plan.scene.sensor.shape
+    for blur, part, part_e in parts_along(plan, path, x, y, light_e, step_px):
+        image += part_e * draw_quadrature(blur, part, *window)
 
 
 def _draw_piece(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Array, Geometry
 from pipeline.physics.colour import ColourFit
+from pipeline.physics.motion.streak import LONGEST_PIECE_PX, Path, light_near
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.facts import Facts
@@ -24,6 +25,9 @@ from pipeline.spec.scene import Scene
 if TYPE_CHECKING:
     from pipeline.physics.sky.extinction import BandExtinction
     from pipeline.plan.sky.sky import SkyPlan
+
+STEP_PART = 0.2  # of one approximation's part, for the responses of steps along a path
+SHORTEST_STEP_PX = 0.05
 
 
 @dataclass(frozen=True)
@@ -127,6 +131,16 @@ class ResolvedScene:
     def allowed_e(self, along_e: float) -> float:
         """What one approximation may err by in a pixel that holds so much light [e-]."""
         return float(allowed_e(np.array(along_e), *self._noise))
+
+    def field_step_px(self, path: Path, radius_px: float, light_e: float) -> float:
+        """Longest step of a source's path that is drawn with the responses of its middle, of those
+        that change over the field; their core ends at a radius."""
+        field = self.responses.field
+        if field is None or not field.steepest:
+            return LONGEST_PIECE_PX
+        near, densest = light_near(path, radius_px)
+        off = STEP_PART * self.allowed_e(light_e * densest) / (light_e * near * field.steepest)
+        return float(np.clip(math.sqrt(12.0 * off), SHORTEST_STEP_PX, LONGEST_PIECE_PX))
 
     @property
     def _noise(self) -> tuple[float, float, bool]:

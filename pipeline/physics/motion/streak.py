@@ -256,6 +256,19 @@ def pieces(
     return out
 
 
+def in_steps(path: Path, longest_px: float) -> Path:
+    """The same path in even steps of each segment, none longer than so many px."""
+    x, y = np.diff(path.x_px), np.diff(path.y_px)
+    counts = np.maximum(1, np.ceil(np.hypot(x, y) / longest_px)).astype(np.intp)
+    if (counts == 1).all():
+        return path
+    of = np.repeat(np.arange(path.segments), counts)
+    within = (np.arange(len(of)) - (np.cumsum(counts) - counts)[of]) / counts[of]
+    at_x, at_y = path.x_px[of] + within * x[of], path.y_px[of] + within * y[of]
+    nodes = np.append(at_x, path.x_px[-1]), np.append(at_y, path.y_px[-1])
+    return Path(*nodes, (path.weight / counts)[of], path.off_px)
+
+
 def half_extent_px(parts: Iterable[Path]) -> tuple[float, float]:
     """How far (y, x) the nodes of paths lie from their reference points, at most [px]."""
     sizes = [(float(np.abs(p.y_px).max()), float(np.abs(p.x_px).max())) for p in parts]

@@ -6,8 +6,10 @@ light stays whole, no pixel turns negative, and nothing jumps where two cells of
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.extended import point_error
+from pipeline.physics.motion.streak import Path, in_steps
 from pipeline.physics.psf.band import BandOptics, NoiseLimit
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import compact_core
@@ -71,6 +74,33 @@ class PsfField:
             mine = np.flatnonzero(share > 0)
             if mine.size:
                 yield blur, mine, light[mine] * share[mine]
+
+    def along(
+        self, path: Path, x_px: float, y_px: float, step_px: float
+    ) -> Iterator[tuple[Blur, Path, float]]:
+        """(response, path with its share of the light of each step, share of all of it) of each
+        response that takes part along the path of a source; steps of at most so many px."""
+        fine = in_steps(path, step_px)
+        x, y = (at + 0.5 * (v[1:] + v[:-1]) for at, v in ((x_px, fine.x_px), (y_px, fine.y_px)))
+        for blur, share in self.shares(x, y):
+            light = fine.weight * share
+            if (total := float(light.sum())) > 0.0:
+                yield blur, replace(fine, weight=light / total), total
+
+    @cached_property
+    def steepest(self) -> float:
+        """By how much a response changes from pixel to pixel of the field and of its image, at
+        most, per unit light: a step of s px that is drawn with the responses of its middle errs by
+        s^2 / 12 of it."""
+        radius_px = max(b.core_px for b in self.blurs)
+        images = np.array([image_of(b, radius_px) for b in self.blurs])[list(self.which)]
+        grid = images.reshape(len(self.rows_px), len(self.columns_px), *images.shape[1:])
+        found = 0.0
+        for places, along in ((self.rows_px, grid), (self.columns_px, grid.swapaxes(0, 1))):
+            change = np.diff(along, axis=0) / np.diff(places)[:, None, None, None]
+            slopes = (np.abs(np.diff(change, axis=axis)).max(initial=0.0) for axis in (-2, -1))
+            found = math.hypot(found, SAMPLES * max(slopes))
+        return found
 
     def near(self, y0_px: float, y1_px: float, x0_px: float, x1_px: float) -> tuple[Blur, ...]:
         """The responses that any source in a rectangle of places may have a part in."""

@@ -17,7 +17,7 @@ from pipeline.kept import kept_number
 from pipeline.physics.drawing.extended import point_error
 from pipeline.physics.drawing.quadrature import FAINTEST, affordable
 from pipeline.physics.drawing.wings import CUT_FROM, swept_apart, wing_error, wing_slope
-from pipeline.physics.motion.streak import LONGEST_PIECE_PX, POINT, Path
+from pipeline.physics.motion.streak import POINT, Path
 from pipeline.physics.positions.focal_plane import Camera
 from pipeline.physics.psf.product import is_product
 from pipeline.physics.psf.pupil import Blur, EllipticalGaussian, Gaussian
@@ -69,7 +69,6 @@ HARDLY = 0.5  # of the middle's streak: stars that move less are at rest
 STAMP_S, STAMP_S_PER_PIXEL = 1e-7, 1.6e-9
 PRODUCT_S, PRODUCT_S_PER_PIXEL = 5e-8, 6e-10
 SPECTRAL_S, SPECTRAL_S_PER_PIXEL = 1.5e-7, 5.5e-8
-FIELD_PIECES, FIELD_PIECE_PX = 4, 8.0  # of a path through a field: at least, and their length
 FINEST_ERROR = 1e-5  # of the peak of a source, in any pixel: what transforms are asked for
 TRANSFORM_S_PER_SAMPLE = 4e-8
 
@@ -193,14 +192,6 @@ class ResponsePlan:
             yield self.blur, slice(None), light_e
         else:
             yield from self.field.parts(x_px, y_px, light_e)
-
-    def longest_px(self, path: Path, finer: int = 1) -> float:
-        """Longest piece of a path of its own that is drawn with one response: those of a field
-        change along it. finer : of so many times the pieces then"""
-        if self.field is None:
-            return LONGEST_PIECE_PX
-        parts = finer * FIELD_PIECES
-        return max(1.0 / parts, min(FIELD_PIECE_PX / finer, path.length_px / parts))
 
     def near(self, y0_px: float, y1_px: float, x0_px: float, x1_px: float) -> tuple[Blur, ...]:
         """The responses that sources in a rectangle of places may have a part in."""

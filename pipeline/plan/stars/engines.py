@@ -20,6 +20,7 @@ from pipeline.physics.drawing.quadrature import NEAR_PX, drawn_s
 from pipeline.physics.drawing.spectral_plan import CROWD_PX, ROUNDING
 from pipeline.physics.motion.points import in_fewer_points, points_per_px
 from pipeline.physics.motion.streak import (
+    LONGEST_PIECE_PX,
     POINT,
     Path,
     curve_through,
@@ -363,6 +364,8 @@ class _Costs:
         self._path = max((p.path for p in streak.pieces), key=lambda p: p.length_px)
         self._sweep = streak.path
         self._across_px = math.hypot(*plan.scene.sensor.shape) + 2.0 * core.radius_px
+        step_px = plan.field_step_px(self._sweep, core.radius_px, min(bright_e, BRIGHTEST_E))
+        self._steps = max(self._segments, math.ceil(self._sweep.length_px / step_px))
         light_e = min(core.brightest_e, BRIGHTEST_E)
         self.point_phases, self.point_error = self._table_at(light_e, POINT, 1)
         near, densest = light_near(self._sweep, core.radius_px)
@@ -407,10 +410,9 @@ class _Costs:
 
     def along(self, stars: float) -> float:
         """Each along its own path, of which the pieces that come near the frame are drawn."""
-        longest_px = self._plan.responses.longest_px(self._sweep)
-        pieces = max(1.0, math.ceil(self._sweep.length_px / longest_px))
-        near = math.ceil(self._across_px / longest_px) + 2.0
-        swept_s = ALONG_S_PER_SAMPLE * self._lit * max(self._segments / pieces, 1.0)
+        pieces = max(1.0, math.ceil(self._sweep.length_px / LONGEST_PIECE_PX))
+        near = math.ceil(self._across_px / LONGEST_PIECE_PX) + 2.0
+        swept_s = ALONG_S_PER_SAMPLE * self._lit * max(self._steps / pieces, 1.0)
         one_s = STAR_S + (0.5 * STAR_S_PER_SAMPLE + swept_s) * self._samples(self._sweep, pieces)
         return stars * self._each * one_s * min(pieces, near)
 
