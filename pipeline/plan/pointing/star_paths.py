@@ -8,15 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Geometry, Refined
-from pipeline.physics.constants import SPEED_OF_LIGHT_M_S
+from pipeline.physics.constants import DEG_RAD, SPEED_OF_LIGHT_M_S
 from pipeline.physics.motion.rolling import exposed_longer, rolled
 from pipeline.physics.positions.apparent import aberrate, unaberrate
-from pipeline.physics.positions.focal_plane import Camera, deproject, project, stretch
+from pipeline.physics.positions.focal_plane import (
+    Camera,
+    corner_radius,
+    deproject,
+    project,
+    stretch,
+)
 from pipeline.physics.positions.refraction import refract, unrefract
 
 Array = NDArray[np.float64]
 
 AT_ONCE = 4096  # places that are worked out together
+WIDE_RAD = 1.0 * DEG_RAD  # from the axis to a corner, from where on turns beside a field differ
 UNROLLED = 3  # turns of the search for where a star stands in the first row's time
 
 
@@ -35,7 +42,22 @@ def excursions_px(camera: Camera, g: Geometry, aberration: bool = True) -> Array
         took = np.where(took > 0.0, took, np.inf)  # bias frames: no light, no motion
         worst += worst / (0.5 * took) * abs(camera.line_s) * 1.5 * camera.rows
     worst *= stretch(camera) ** 2  # between the points looked at
+    if corner_radius(camera) > WIDE_RAD:
+        worst = np.fmax(worst, _entered_px(camera, g, aberration))
     return np.where(worst > 1e-3, 16.0 * np.ceil(worst / 16.0), 0.0)
+
+
+def _entered_px(camera: Camera, g: Geometry, aberration: bool) -> Array:
+    """The same (F,) of stars that are in the centre and the corners at either end of an exposure:
+    beside a wide field, where they come from, a turn moves places farther than in it."""
+    middle, found = at_nodes(g, np.array([g.middle])), np.zeros(len(g.frame))
+    for end in (0, g.nodes - 1):
+        x, y = field_points(camera)
+        then = at_nodes(g, np.array([end]))
+        back = paths_of_those_at(camera, then, middle, x, y, aberration)[..., 0]
+        moved = np.hypot(back[0] - x[:, None], back[1] - y[:, None])
+        found = np.fmax(found, np.fmax.reduce(moved, axis=0))  # NaN: behind the camera
+    return np.where(np.isfinite(found), found, 0.0)
 
 
 def star_paths(

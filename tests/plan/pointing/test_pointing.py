@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from pipeline.arrays import Refined
 from pipeline.errors import BadInput
 from pipeline.physics.positions.apparent import unaberrate
+from pipeline.physics.positions.focal_plane import deproject, project
 from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.pointing.attitude_motion import motion_plan, random_motion_rad
 from pipeline.plan.pointing.geometry import (
@@ -435,6 +436,29 @@ def test_how_far_stars_come_is_told_from_the_nodes_of_each_frame(scene: Make) ->
     before, far, after = excursions_px(camera_of(s), g, False)
     assert before == after == 0.0
     assert 20.0 <= far <= 32.0
+
+
+def test_stars_that_enter_a_wide_field_are_counted_from_where_they_come(scene: Make) -> None:
+    """60 degrees of sky that turn by 51 and roll by 40: beside it a turn moves places farther."""
+    s = scene({
+        "pointing": {"mode": "rate", "boresight_ra_deg": 100.0, "boresight_dec_deg": 10.0,
+                     "rate_ra_arcsec_s": 12_000.0, "rate_dec_arcsec_s": 14_000.0,
+                     "roll_deg": 20.0, "roll_rate_deg_s": 4.0},
+        "exposure": {"integration_s": 10.0}, "stars.aberration": False, "stars.deflection": False,
+        "sensor.shape": [256, 256], "sensor.pixel_pitch_um": 20.0,
+        "sensor.focal_length_m": 4.43e-3, "sensor.aperture_m": 2e-3,
+    })  # fmt: skip
+    g, camera = plan_geometry(s, np.arange(1), 0.0), camera_of(s)
+    edge = np.linspace(0.0, 255.0, 64)
+    x = np.concatenate([edge, edge, 0.0 * edge, 0.0 * edge + 255.0])
+    y = np.concatenate([0.0 * edge, 0.0 * edge + 255.0, edge, edge])
+    moved = [0.0]
+    for k in range(g.nodes):  # along the edges at each node
+        u = deproject(camera, g.attitude[0, k], x, y)
+        at = np.stack(project(camera, g.attitude[0, g.middle], u))
+        moved.append(float(np.nanmax(np.hypot(at[0] - x, at[1] - y))))
+    (told,) = excursions_px(camera, g, False)
+    assert 0.5 * told < max(moved) < told
 
 
 def test_absurd_accelerations_are_refused(scene: Make) -> None:
