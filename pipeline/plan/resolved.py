@@ -135,11 +135,13 @@ class ResolvedScene:
     def field_step_px(self, path: Path, radius_px: float, light_e: float) -> float:
         """Longest step of a source's path that is drawn with the responses of its middle, of those
         that change over the field; their core ends at a radius."""
-        field = self.responses.field
-        if field is None or not field.steepest:
+        if self.responses.field is None:
             return LONGEST_PIECE_PX
         near, densest = light_near(path, radius_px)
-        off = STEP_PART * self.allowed_e(light_e * densest) / (light_e * near * field.steepest)
+        changed_e = light_e * near * self.responses.field.steepest
+        if changed_e <= 0.0:
+            return LONGEST_PIECE_PX
+        off = STEP_PART * self.allowed_e(light_e * densest) / changed_e
         return float(np.clip(math.sqrt(12.0 * off), SHORTEST_STEP_PX, LONGEST_PIECE_PX))
 
     @property

@@ -22,7 +22,7 @@ from pipeline.execute.light import _draw_path, draw_exact, draw_stars
 from pipeline.execute.sources import FrameTarget, streaks
 from pipeline.execute.tables import ContentCache
 from pipeline.execute.truth import matched_snr
-from pipeline.physics.motion.streak import POINT, Path, in_few_runs
+from pipeline.physics.motion.streak import LONGEST_PIECE_PX, POINT, Path, in_few_runs
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import compact_core
 from pipeline.physics.targets.disc import Sphere
@@ -350,6 +350,7 @@ def test_a_path_of_its_own_takes_the_responses_along_it(catalogue, light_e, beyo
     places = x + 15.0 * along, y + 20.0 * along, 0.5 * share * light_e
     draw_exact(plan, parts, tile, 0, POINT, *places)
     assert out.sum() == pytest.approx(light_e, rel=1e-5)
+    assert plan.field_step_px(POINT, 5.0, 0.0) == LONGEST_PIECE_PX  # of one without light
     noise = np.sqrt(plan.facts.light_floor_e**2 + np.maximum(parts, 0.0))
     assert (np.abs(out - parts) / noise).max() < 2e-3
 

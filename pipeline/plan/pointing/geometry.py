@@ -254,16 +254,18 @@ def bend_px(scene: Scene, g: Geometry, dut1_s: float) -> float:
     kinks, of which the nodes themselves tell too little.
     """
     each = [g.frame_slice(k) for k in range(len(g.frame))]
-    if any(p.pointing.mode == "table" for p in dwell_plans(scene)):
-        return max(ROUNDED_PX, *(_beside_px(scene, one, dut1_s) for one in each))
     if motion_plan(scene) is not None:
         each = [_geometry(scene, one.frame, one.nodes, dut1_s) for one in each]
-    found = (float(bends_px(scene, one, _star_paths(scene, one))[0]) for one in each)
+    found = [float(bends_px(scene, one, _star_paths(scene, one))[0]) for one in each]
+    if any(p.pointing.mode == "table" for p in dwell_plans(scene)):
+        found += [_beside_px(scene, one, dut1_s) for one in each]
     return max(ROUNDED_PX, *found)
 
 
 def _beside_px(scene: Scene, g: Geometry, dut1_s: float) -> float:
-    """How far paths of one frame are from the lines between its nodes, looked at in between."""
+    """How far stars of one frame pass by the lines between its nodes, looked at in between."""
+    if all(p.pointing.mode != "target" for p in dwell_plans(scene)):
+        scene = scene.model_copy(update={"targets": (), "populations": ()})
     fine = _geometry(scene, g.frame, LOOKS_BETWEEN * (g.nodes - 1) + 1, dut1_s)
     return float(missed_px(scene, fine, _star_paths(scene, fine), LOOKS_BETWEEN)[0])
 

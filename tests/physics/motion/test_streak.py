@@ -14,6 +14,7 @@ from pipeline.physics.motion.streak import (
     curve_through,
     densest_share,
     in_few_runs,
+    in_steps,
     part_within,
     path_through,
     piece_counts,
@@ -218,6 +219,24 @@ def test_pieces_conserve_light_and_shape(kind: str, longest: float) -> None:
         total += share * turn * transfer(fy, fx, piece.x_px, piece.y_px, piece.weight)
     whole = transfer(fy, fx, path.x_px, path.y_px, path.weight)
     assert np.abs(total - whole).max() < 1e-12
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("longest", [0.05, 0.7, 1e3])
+def test_steps_of_a_path_are_the_path(kind: str, longest: float) -> None:
+    x, y = nodes(kind)
+    weight = np.linspace(0.0, 3.0, 64)
+    path = path_through(x, y, weight / weight.sum(), 1e-3)
+    steps = in_steps(path, longest)
+    lengths = np.hypot(np.diff(steps.x_px), np.diff(steps.y_px))
+    assert lengths.max() <= longest * (1 + 1e-9)
+    assert lengths.sum() == pytest.approx(path.length_px, rel=1e-12)
+    own = np.hypot(np.diff(path.x_px), np.diff(path.y_px))
+    assert steps.segments == np.maximum(1, np.ceil(own / longest)).sum()
+    f = np.linspace(-0.4, 0.4, 7), np.linspace(0.0, 0.4, 5)
+    made, whole = (transfer(*f, p.x_px, p.y_px, p.weight) for p in (steps, path))
+    assert np.abs(made - whole).max() < 1e-12
+    assert in_steps(POINT, longest) == POINT
 
 
 @pytest.mark.parametrize("length", LENGTHS)
