@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,12 +92,8 @@ class PsfField:
         """By how much a response changes from pixel to pixel of the field and of its image, at
         most, per unit light: a step of s px that is drawn with the responses of its middle errs by
         s^2 / 12 of it."""
-        radius_px = max(b.core_px for b in self.blurs)
-        images = np.array([image_of(b, radius_px) for b in self.blurs])[list(self.which)]
-        grid = images.reshape(len(self.rows_px), len(self.columns_px), *images.shape[1:])
         found = 0.0
-        for places, along in ((self.rows_px, grid), (self.columns_px, grid.swapaxes(0, 1))):
-            change = np.diff(along, axis=0) / np.diff(places)[:, None, None, None]
+        for change in changes_of(self):
             slopes = (np.abs(np.diff(change, axis=axis)).max(initial=0.0) for axis in (-2, -1))
             found = math.hypot(found, SAMPLES * max(slopes))
         return found
@@ -223,6 +219,25 @@ def image_of(blur: Blur, radius_px: float) -> Array:
     count = int(radius_px) * SAMPLES
     at = middle + np.arange(-count, count + 1) * step
     return core.samples[np.ix_(at, at)]
+
+
+@lru_cache(maxsize=1)
+def images_of(field: PsfField) -> Array:
+    """The light of all places of a field as `image_of` has it, (rows, columns, n, n)."""
+    radius_px = max(b.core_px for b in field.blurs)
+    images = np.array([image_of(b, radius_px) for b in field.blurs])[list(field.which)]
+    return images.reshape(len(field.rows_px), len(field.columns_px), *images.shape[1:])
+
+
+def changes_of(field: PsfField) -> list[Array]:
+    """By how much the light changes from pixel to pixel of the field, per unit light, between
+    neighbours along its rows and along its columns: (places - 1, others, n, n) each."""
+    grid = images_of(field)
+    return [
+        np.diff(along, axis=0) / np.diff(places)[:, None, None, None]
+        for places, along in ((field.rows_px, grid), (field.columns_px, grid.swapaxes(0, 1)))
+        if len(places) > 1
+    ]
 
 
 def _along(places_px: tuple[float, ...], images: Array) -> float | None:

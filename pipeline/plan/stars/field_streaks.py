@@ -24,20 +24,13 @@ def field_streak_warnings(plan: ResolvedScene, g: Geometry) -> list[str]:
     field = plan.responses.field
     if field is None or not (length_px := longest_px(plan, g)) > 0.0:
         return []
-    from pipeline.plan.optics.psf_field import SAMPLES, image_of
+    from pipeline.plan.optics.psf_field import SAMPLES, changes_of, images_of
 
     scene, light_e = plan.scene, plan.facts.brightest_e
-    radius_px = max(b.core_px for b in field.blurs)
-    images = np.array([image_of(b, radius_px) for b in field.blurs])[list(field.which)]
-    grid = images.reshape(len(field.rows_px), len(field.columns_px), *images.shape[1:])
-    changes = [
-        np.diff(along, axis=0) / np.diff(places)[:, None, None, None]
-        for places, along in ((field.rows_px, grid), (field.columns_px, grid.swapaxes(0, 1)))
-        if len(places) > 1
-    ]
+    changes = changes_of(field)
     off = max((_of_streak(np.abs(c), length_px, SAMPLES) for c in changes), default=0.0)
     off_e = 0.5 * length_px * off * light_e
-    photons_e = _of_streak(images, length_px, SAMPLES) * light_e
+    photons_e = _of_streak(images_of(field), length_px, SAMPLES) * light_e
     photons_e *= scene.sensor.photon_noise
     photons_e /= max(1.0, plan.facts.flat)
     sigma = off_e / math.sqrt(plan.facts.light_floor_e**2 + photons_e)
