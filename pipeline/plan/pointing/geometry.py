@@ -250,15 +250,15 @@ def bend_px(scene: Scene, g: Geometry, dut1_s: float) -> float:
     """How far paths of stars and targets are from straight lines between the nodes, at most [px].
 
     Of those over and beside the frames of a geometry, without random motion: how far that is from
-    straight is in its own plan. Between the rows of a table paths are looked at, as they may be
-    kinks, of which the nodes themselves tell too little.
+    straight is in its own plan. With a table, whose rows may be kinks of which the nodes tell too
+    little, the frame that bends most is looked at between its nodes.
     """
     each = [g.frame_slice(k) for k in range(len(g.frame))]
     if motion_plan(scene) is not None:
         each = [_geometry(scene, one.frame, one.nodes, dut1_s) for one in each]
     found = [float(bends_px(scene, one, _star_paths(scene, one))[0]) for one in each]
     if any(p.pointing.mode == "table" for p in dwell_plans(scene)):
-        found += [_beside_px(scene, one, dut1_s) for one in each]
+        found.append(_beside_px(scene, each[int(np.argmax(found))], dut1_s))
     return max(ROUNDED_PX, *found)
 
 

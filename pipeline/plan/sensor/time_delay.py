@@ -5,13 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from pipeline.arrays import Geometry
 from pipeline.physics.psf.response import compact_core
-from pipeline.plan.pointing.paths import near_frame
 from pipeline.plan.response.responses import point_slope
-from pipeline.spec.scene import Scene
+from pipeline.plan.stars.field_streaks import longest_px
 from pipeline.spec.sensor.detector import TimeDelay
 
 if TYPE_CHECKING:
@@ -29,7 +26,7 @@ def edge_warnings(plan: ResolvedScene, g: Geometry) -> list[str]:
     readout = None if scene.sensor.detector is None else scene.sensor.detector.readout
     if not (isinstance(readout, TimeDelay) and readout.edges == "partial" and r.classes):
         return []
-    length_px = max(r.streaks.longest_px, _longest_px(scene, g))
+    length_px = longest_px(plan, g)
     slope = max(point_slope(b) for b in r.blurs)
     peak = max(float(compact_core(b, r.usual_px).samples.max()) for b in r.blurs)
     peak = min(peak, 1.0 / max(length_px, 1.0))
@@ -44,13 +41,3 @@ def edge_warnings(plan: ResolvedScene, g: Geometry) -> list[str]:
         f"source err by up to {off_e:.2g} e-, {off_e / noise_e:.2g} of its noise (asked: "
         f"{scene.accuracy.noise_fraction:g})"
     ]
-
-
-def _longest_px(scene: Scene, g: Geometry) -> float:
-    """The longest streak of a target in or beside the frame, against the charge."""
-    if not scene.targets:
-        return 0.0
-    with np.errstate(invalid="ignore"):
-        steps = np.hypot(np.diff(g.target_x_px, axis=-1), np.diff(g.target_y_px, axis=-1))
-        lengths = steps.sum(axis=-1)[near_frame(scene, g)]
-    return float(np.nanmax(lengths, initial=0.0))
