@@ -135,7 +135,7 @@ class ResolvedScene:
     def field_step_px(self, path: Path, radius_px: float, light_e: float) -> float:
         """Longest step of a source's path that is drawn with the responses of its middle, of those
         that change over the field; their core ends at a radius."""
-        if self.responses.field is None:
+        if self.responses.field is None or path.length_px == 0.0:
             return LONGEST_PIECE_PX
         near, densest = light_near(path, radius_px)
         changed_e = light_e * near * self.responses.field.steepest
