@@ -345,12 +345,13 @@ def test_a_path_of_its_own_takes_the_responses_along_it(catalogue, light_e, beyo
     tile, (x, y) = Tile(0, 0, 0, 0, SIDE, SIDE), (160.3, 158.9)
     ends = np.array([-15.0, 15.0]), np.array([-20.0, 20.0])
     k, out, parts = len(plan.responses.classes), np.zeros((SIDE, SIDE)), np.zeros((SIDE, SIDE))
-    _draw_path(plan, out, tile, k if beyond else 0, Path(*ends, np.ones(1)), x, y, light_e)
+    path = Path(*ends, np.ones(1))
+    _draw_path(plan, out, tile, k if beyond else 0, path, x, y, light_e)
     along, share = np.polynomial.legendre.leggauss(200)
     places = x + 15.0 * along, y + 20.0 * along, 0.5 * share * light_e
     draw_exact(plan, parts, tile, 0, POINT, *places)
     assert out.sum() == pytest.approx(light_e, rel=1e-5)
-    assert plan.field_step_px(POINT, 5.0, 0.0) == LONGEST_PIECE_PX  # of one without light
+    assert plan.field_step_px(path, 5.0, 0.0) == LONGEST_PIECE_PX  # of one without light
     noise = np.sqrt(plan.facts.light_floor_e**2 + np.maximum(parts, 0.0))
     assert (np.abs(out - parts) / noise).max() < 2e-3
 
