@@ -294,6 +294,21 @@ def test_earth_fixed_rows_across_a_leap_second(tmp_path: Path) -> None:
     assert np.linalg.norm(found - place, axis=1).max() < 0.05
 
 
+def test_a_row_of_an_oem_without_its_velocity_leaves_all_to_the_places(tmp_path: Path) -> None:
+    """Speeds then follow from the places, as in an SP3 file; the rows are all there."""
+    t = np.arange(0.0, 1201.0, 60.0)
+    place, speed = two_body(np.array([7e6, 0, 0]), np.array([0, 6000.0, 5500.0]), t)
+    times = list((Time("2017-02-14T06:07:00", scale="utc") + t * u.s).isot)
+    text = oem("GCRF", place, speed, times)
+    (row,) = (line for line in text.splitlines() if line.startswith(times[3] + " "))
+    path = tmp_path / "sat.oem"
+    for written, known in ((text, True), (text.replace(row, " ".join(row.split()[:4])), False)):
+        path.write_text(written)
+        ((source,),) = read_ephemeris(path, None, SCENE["epoch"], "f").values()
+        assert source.place_m == pytest.approx(place, abs=1e-3)
+        assert (source.speed_m_s is not None) == known
+
+
 def test_each_segment_has_its_own_metadata(tmp_path: Path) -> None:
     """What the first one says of where it may be used is nothing to the second, an hour later."""
     t = np.arange(-1800.0, 1801.0, 60.0)
