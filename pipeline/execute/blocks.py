@@ -112,21 +112,27 @@ def target_class(plan: Plan, target: FrameTarget) -> int:
     return k if serves else k - 1
 
 
-def parts_of(plan: Plan, x_px: float, y_px: float, light_e: float) -> list[tuple[Blur, float]]:
-    """The responses that a source at one place is drawn by, each with its light [e-]."""
-    one = np.array([x_px]), np.array([y_px]), np.array([light_e])
-    return [(blur, float(light[0])) for blur, _, light in plan.responses.parts(*one)]
-
-
 def parts_along(
     plan: Plan, path: Path, x_px: float, y_px: float, light_e: float, step_px: float
 ) -> list[tuple[Blur, Path, float]]:
-    """The same along the path of a source, with the path of each part: of a field of responses the
-    light of each step of so many px is shared out among those around it."""
+    """(response, path, light [e-]) of the parts that a source is drawn by: of a field of responses
+    the light of each step of so many px is shared out among those around it."""
     field = plan.responses.field
     if field is None:
         return [(plan.responses.blur, path, light_e)]
     return [(b, part, light_e * s) for b, part, s in field.along(path, x_px, y_px, step_px)]
+
+
+def core_radius_px(plan: Plan, target: FrameTarget) -> float:
+    """Where the core of a body with a size ends."""
+    return plan.responses.classes[target_class(plan, target)].radius_px
+
+
+def body_parts(plan: Plan, target: FrameTarget, finer: int = 1) -> list[tuple[Blur, Path, float]]:
+    """The same of a body with a size, as if all were in its middle. finer : times the steps"""
+    path, place = target.path, (target.x_px, target.y_px, target.light_e)
+    step_px = plan.field_step_px(path, core_radius_px(plan, target), target.light_e) / finer
+    return parts_along(plan, path, *place, step_px)
 
 
 def is_near(stars: FrameStars, tile: Tile, reach: float) -> NDArray[np.bool_]:
@@ -413,15 +419,13 @@ def _point_wings(
 def _body_wings(plan: Plan, grid: WingGrid, target: FrameTarget) -> Spectrum | None:
     """Spectrum of the wings of an extended body; None where it is off the grid."""
     assert target.body is not None
-    r = plan.responses
-    core = r.classes[target_class(plan, target)]
-    total: Spectrum | None = None
-    for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
+    radius, total = core_radius_px(plan, target), None
+    for blur, path, light_e in body_parts(plan, target):
         light = spread_body(grid, target.body, (target.y_px, target.x_px), light_e)
         if light.any():
-            kernel = kernel_of(blur, core.radius_px, grid, r.reach_px)
-            total = _sum(total, _wings_of(light, kernel))
-    return None if total is None else total * streak_of(grid, target.path)
+            kernel = kernel_of(blur, radius, grid, plan.responses.reach_px)
+            total = _sum(total, _wings_of(light, kernel) * streak_of(grid, path))
+    return total
 
 
 def _target_points(

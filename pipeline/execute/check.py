@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array, FrameStars, Geometry, concatenate
-from pipeline.execute.blocks import around, class_of, parts_along, parts_of, target_class
+from pipeline.execute.blocks import around, body_parts, class_of, target_class
 from pipeline.execute.light import add_beyond
 from pipeline.execute.sources import (
     FrameTarget,
@@ -23,7 +23,7 @@ from pipeline.execute.sources import (
     whole_stars,
 )
 from pipeline.execute.tables import core_of, kernel_of
-from pipeline.physics.drawing.direct import draw_direct, reach_px, terms
+from pipeline.physics.drawing.direct import Swept, draw_direct, reach_px, terms
 from pipeline.physics.drawing.extended import draw_body, spread_body
 from pipeline.physics.drawing.quadrature import (
     affordable,
@@ -72,12 +72,13 @@ LEAST_ERROR = 1e-14  # of the light: where nothing else is known of a core's err
 OWN_PATHS = 8  # of stars near a window at least, more where they are far off
 MOST_S = 0.5  # CPU seconds that the sources of a window may cost, on one core
 SOURCE_S, SEGMENT_S, SPECTRUM_S = 1.5e-9, 2e-9, 3e-8  # of one term of a spectrum (measured)
+RISING_S = 4e-9  # of one whose light rises along a segment
 VALUE_S = 1.2e-8  # of a value of a profile
 OFF_SHARE = 0.02  # of the light that may be off: what merging the segments of a path may cost
 MOST_MERGED_PX = 1e-2
 WING_BEND_PX = 2e-2  # that straight runs of a body's path may be off for its wings
 MOST_FOLLOWED = 500  # of the brightest stars near a window, whose paths are looked at
-FINER = 2  # times as many pieces of responses, and steps of light, that change along a path
+FINER = 2  # times as many steps of light, and of a body's responses, that change along a path
 MOST_VALUES = 5e7  # of profiles that the sources of a window may cost, if transforms serve too
 MOST_POINTS = 1e6  # along the paths of a group of sources whose wings are swept so
 SWEEP_STEP_PX = 32.0
@@ -229,13 +230,13 @@ def reference(
         else:
             alone.append((*group, end))
             values += cost
-    work, size = list(_pieces(plan, at, together)), (at.rows, at.columns)
-    cost_s = sum(_spectra_s(core, piece, size, len(x)) for core, piece, x, _, _ in work)
+    work, size = _by_core(plan, at, together), (at.rows, at.columns)
+    cost_s = sum(_spectra_s(core, swept, size) for core, swept in work.items())
     if cost_s + VALUE_S * values > most_s:
         return None, sources
     image = np.zeros(size)
-    for core, piece, x, y, light in work:
-        image += draw_direct(core, piece, size, (at.y0, at.x0), x, y, light)
+    for core, swept in work.items():
+        image += draw_direct(core, swept, size, (at.y0, at.x0))
     for x, y, light, path, end in alone:
         place = float(x[0]), float(y[0]), float(light[0])
         add_beyond(plan, image, at, path, *place, end, finer=True)
@@ -261,10 +262,15 @@ def _sources(
     return groups, [t for t in targets if t.body is not None]
 
 
-def _spectra_s(core: Core, path: Path, size: tuple[int, int], sources: int) -> float:
-    """CPU seconds of sources that share a path, by the sum of their phases."""
-    each = SOURCE_S * sources + SEGMENT_S * path.segments + SPECTRUM_S
-    return terms(core, path, size) * each
+def _spectra_s(core: Core, groups: list[Swept], size: tuple[int, int]) -> float:
+    """CPU seconds of sources of one core, by the sum of their phases."""
+    each = SPECTRUM_S
+    for swept in groups:
+        if swept.rise is None:
+            each += SOURCE_S * len(swept.x_px) + SEGMENT_S * swept.path.segments
+        else:
+            each += RISING_S * len(swept.x_px) * swept.path.segments
+    return terms(core, groups, size) * each
 
 
 def _end(plan: Plan, t: FrameTarget) -> float:
@@ -364,37 +370,38 @@ def _nearest(offsets: Array, to_place: Array) -> Array:
     return np.hypot(*(to_place - offsets[..., :-1] - share * way)).min(axis=1)
 
 
-def _pieces(
-    plan: Plan, at: Tile, groups: list[Group]
-) -> Iterator[tuple[Core, Path, Array, Array, Array]]:
-    """(core, piece, x, y, light) of the sources that light a window, piece by piece of path."""
+def _by_core(plan: Plan, at: Tile, groups: list[Group]) -> dict[Core, list[Swept]]:
+    """The sources that light a window, piece by piece of path, by the core that draws them."""
+    out: dict[Core, list[Swept]] = {}
     for x, y, light, path in groups:
         classes = _core_class(plan, light)
-        for k in np.unique(classes):
-            near = [core_of(b, _radius(plan, int(k), b)) for b in _near_window(plan, int(k), at)]
+        for k in np.unique(classes).tolist():
+            near = [core_of(b, _radius(plan, k, b)) for b in _near_window(plan, k, at)]
             for x0, y0, piece, share in pieces(path):
                 reach = max(reach_px(core, piece) for core in near)
                 off_x = np.maximum(at.x0 - x - x0, x + x0 - (at.x0 + at.columns - 1))
                 off_y = np.maximum(at.y0 - y - y0, y + y0 - (at.y0 + at.rows - 1))
                 mine = (classes == k) & (off_x < reach) & (off_y < reach)
-                if mine.any():
-                    found = x[mine] + x0, y[mine] + y0, light[mine] * share
-                    for blur, part, u, v, part_e in _shared_out(plan, int(k), piece, *found):
-                        yield core_of(blur, _radius(plan, int(k), blur)), part, u, v, part_e
+                if not mine.any():
+                    continue
+                found = Swept(piece, x[mine] + x0, y[mine] + y0, light[mine] * share)
+                for blur, part in _shared_out(plan, found):
+                    out.setdefault(core_of(blur, _radius(plan, k, blur)), []).append(part)
+    return out
 
 
-def _shared_out(
-    plan: Plan, k: int, piece: Path, x: Array, y: Array, light: Array
-) -> Iterator[tuple[Blur, Path, Array, Array, Array]]:
-    """(response, piece, x, y, light) of sources (n,) of a class on pieces alike: of a field of
-    responses each by itself, in FINER steps than drawings take."""
-    if plan.responses.field is None:
-        yield plan.responses.blur, piece, x, y, light
+def _shared_out(plan: Plan, swept: Swept) -> Iterator[tuple[Blur, Swept]]:
+    """The responses that take part in some sources on pieces alike: of a field of responses each
+    source by itself, where it moves, with what changes along its path."""
+    field, places = plan.responses.field, (swept.x_px, swept.y_px, swept.light_e)
+    if field is None or not swept.path.length_px:
+        for blur, which, light in plan.responses.parts(*places):
+            yield blur, Swept(swept.path, swept.x_px[which], swept.y_px[which], light)
         return
-    for i, place in enumerate(zip(x.tolist(), y.tolist(), light.tolist(), strict=True)):
-        step_px = plan.field_step_px(piece, plan.responses.classes[k].radius_px, place[2])
-        for blur, part, light_e in parts_along(plan, piece, *place, step_px / FINER):
-            yield blur, part, x[[i]], y[[i]], np.array([light_e])
+    for i in range(len(swept.x_px)):
+        x, y, light = (v[[i]] for v in places)
+        for blur, part, rise, share in field.rising(swept.path, x.item(), y.item()):
+            yield blur, Swept(part, x, y, light * share, rise)
 
 
 def _core_class(plan: Plan, light_e: Array) -> np.ndarray:
@@ -471,10 +478,9 @@ def _sweep(path: Path) -> float:
 def _add_body(plan: Plan, image: Array, at: Tile, target: FrameTarget) -> None:
     """An extended body with the reference's core, and its wings on the finer grid."""
     assert target.body is not None
-    r, place, path = plan.responses, (target.y_px, target.x_px), target.path
-    runs = in_few_runs(path, WING_BEND_PX)
-    k = target_class(plan, target)
-    for blur, light_e in parts_of(plan, target.x_px, target.y_px, target.light_e):
+    r, place, k = plan.responses, (target.y_px, target.x_px), target_class(plan, target)
+    for blur, path, light_e in body_parts(plan, target, FINER):
+        runs = in_few_runs(path, WING_BEND_PX)
         core = core_of(blur, _radius(plan, k, blur))
         draw_body(image, (at.y0, at.x0), target.body, core, place, light_e, path)
         for grid, ends in _fine_grids(plan, at, _sweep(runs)) if r.spacing_px else ():

@@ -11,10 +11,11 @@ from pipeline.arrays import Array, FrameStars, Geometry, concatenate, select
 from pipeline.execute.blocks import (
     LightBlock,
     around,
+    body_parts,
     class_of,
+    core_radius_px,
     is_near,
     parts_along,
-    parts_of,
     target_class,
 )
 from pipeline.execute.guards import guard_brightness, guard_light, guard_stars, inside_tile
@@ -95,11 +96,10 @@ def draw_targets(plan: Plan, g: Geometry, tile: Tile, blocks: list[LightBlock]) 
     for target in targets:
         guard_brightness(plan, target.x_px, target.y_px, target.light_e)
         if target.body is not None:
-            k = target_class(plan, target)
-            place, radius = (target.y_px, target.x_px), plan.responses.classes[k].radius_px
-            for blur, light in parts_of(plan, target.x_px, target.y_px, target.light_e):
+            place, radius = (target.y_px, target.x_px), core_radius_px(plan, target)
+            for blur, path, light in body_parts(plan, target):
                 core = core_of(blur, radius)
-                draw_body(image, (tile.y0, tile.x0), target.body, core, place, light, target.path)
+                draw_body(image, (tile.y0, tile.x0), target.body, core, place, light, path)
             continue
         _draw_point(plan, image, tile, target)
     cores_e = float(image.sum())

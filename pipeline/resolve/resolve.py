@@ -48,9 +48,9 @@ from pipeline.plan.sensor.time_delay import edge_warnings
 from pipeline.plan.sky.doubts import lacks_night, sky_doubts
 from pipeline.plan.stars.brightest import brightest_target_e
 from pipeline.plan.stars.field_stars import FieldStars
-from pipeline.plan.stars.field_streaks import field_streak_warnings
 from pipeline.plan.stars.kinked_paths import kink_warnings
 from pipeline.plan.targets.decisions import mesh_notices
+from pipeline.plan.targets.field_bodies import field_body_warnings
 from pipeline.plan.targets.near import near_warnings
 from pipeline.plan.targets.orbit_age import orbit_remarks, table_warnings
 from pipeline.plan.targets.shared import shared_remarks
@@ -202,7 +202,7 @@ def _of_sensor(resolved: ResolvedScene, maps: SensorMaps, g: Geometry) -> list[s
         *_filled(resolved, maps, g.frame),
         *_cut_off(resolved, maps),
         *unit_warnings(resolved.scene),
-        *field_streak_warnings(resolved, g),
+        *field_body_warnings(resolved, g),
         *shear_warnings(resolved, g),
         *edge_warnings(resolved, g),
         *kink_warnings(resolved, g),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -9,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from pipeline.physics.fast_sizes import fast_size
-from pipeline.physics.motion.streak import Path, transfer
+from pipeline.physics.motion.streak import Path, add_rising, transfer
 from pipeline.physics.psf.response import Core, core_spectrum, frequencies
 
 Array = NDArray[np.float64]
@@ -18,49 +20,87 @@ CHUNK = 256  # sources whose phases are held at a time
 SPARE_PX = 4
 
 
+@dataclass(frozen=True)
+class Swept:
+    """Sources that share a path.
+
+    x_px, y_px, light_e : (n,) frame places at the path's origin and light
+    rise : (k,) by how much the light of each segment's end exceeds that of its middle, as a share
+        of all light; None where it lies evenly along each
+    """
+
+    path: Path
+    x_px: Array
+    y_px: Array
+    light_e: Array
+    rise: Array | None = None
+
+
 def reach_px(core: Core, path: Path) -> float:
     """How far from the place of a source its swept core lights pixels, on either axis."""
     sweep = float(max(np.abs(path.x_px).max(), np.abs(path.y_px).max()))
     return core.radius_px + sweep + SPARE_PX
 
 
-def terms(core: Core, path: Path, shape: tuple[int, int]) -> int:
-    """Products that one source costs in a window of `shape` pixels."""
-    sides = [_period(n, core, path) * core.oversampling for n in shape]
+def terms(core: Core, groups: Sequence[Swept], shape: tuple[int, int]) -> int:
+    """Products that one source of some groups costs in a window of `shape` pixels."""
+    reach = _reach_of(core, groups)
+    sides = [_period(n, reach) * core.oversampling for n in shape]
     return sides[0] * (sides[1] // 2 + 1)
 
 
 def draw_direct(
-    core: Core,
-    path: Path,
-    shape: tuple[int, int],
-    origin: tuple[int, int],
-    x_px: Array,
-    y_px: Array,
-    light_e: Array,
+    core: Core, groups: Sequence[Swept], shape: tuple[int, int], origin: tuple[int, int]
 ) -> Array:
-    """Electrons of sources that share a path: (rows, columns) float64 at frame pixel `origin`.
+    """Electrons of sources of one core: (rows, columns) float64 at frame pixel `origin`.
 
-    x_px, y_px, light_e : (n,) frame places at the path's origin and light, within `reach_px` of
-    the window. The spectrum is the sum of the sources' own phases, each taken at its exact place
-    (a discrete Fourier transform by its definition): no phase table, no spreading, no float32.
+    groups : of sources within `reach_px` of the window. The spectrum is the sum of the sources'
+    own phases, each taken at its exact place (a discrete Fourier transform by its definition): no
+    phase table, no spreading, no float32.
     """
-    os = core.oversampling
-    period = tuple(_period(n, core, path) for n in shape)
+    os, reach = core.oversampling, _reach_of(core, groups)
+    period = tuple(_period(n, reach) for n in shape)
     fy, fx = frequencies(core, *period)
     total = np.zeros((fy.size, fx.size), complex)
-    for i in range(0, len(x_px), CHUNK):
-        part = slice(i, i + CHUNK)
-        down = np.exp(-2j * np.pi * fy[:, None] * (y_px[part] - origin[0])[None, :])
-        along = np.exp(-2j * np.pi * (x_px[part] - origin[1])[:, None] * fx[None, :])
-        total += (down * light_e[part]) @ along
+    for group in groups:
+        if group.rise is None:
+            total += _swept(group, fy, fx, origin)
+        else:
+            _add_each(total, group, group.rise, fy, fx, origin)
     total *= _spectrum(core, *period)
-    if path.length_px or path.x_px.any() or path.y_px.any():
-        total *= transfer(fy, fx, path.x_px, path.y_px, path.weight)
     rows = total.reshape(os, period[0], -1).sum(axis=0) / os
     swept = scipy.fft.ifft(rows, axis=0)[: shape[0]]
     fine = scipy.fft.irfft(swept, n=period[1] * os, axis=1)
     return np.ascontiguousarray(fine[:, : shape[1] * os : os])
+
+
+def _swept(group: Swept, fy: Array, fx: Array, origin: tuple[int, int]) -> NDArray[np.complex128]:
+    """The spectrum of a group's light along its path, from its sources' phases."""
+    out = np.zeros((fy.size, fx.size), complex)
+    for i in range(0, len(group.x_px), CHUNK):
+        part = slice(i, i + CHUNK)
+        down = np.exp(-2j * np.pi * fy[:, None] * (group.y_px[part] - origin[0])[None, :])
+        along = np.exp(-2j * np.pi * (group.x_px[part] - origin[1])[:, None] * fx[None, :])
+        out += (down * group.light_e[part]) @ along
+    path = group.path
+    if path.length_px or path.x_px.any() or path.y_px.any():
+        out *= transfer(fy, fx, path.x_px, path.y_px, path.weight)
+    return out
+
+
+def _add_each(
+    total: NDArray[np.complex128],
+    group: Swept,
+    rise: Array,
+    fy: Array,
+    fx: Array,
+    origin: tuple[int, int],
+) -> None:
+    """Add the spectrum of each source of a group whose light rises along its path."""
+    path = group.path
+    for x, y, light in zip(group.x_px, group.y_px, group.light_e, strict=True):
+        nodes = path.x_px + (x - origin[1]), path.y_px + (y - origin[0])
+        add_rising(total, fy, fx, *nodes, light * path.weight, light * rise)
 
 
 @lru_cache(maxsize=6)
@@ -69,6 +109,11 @@ def _spectrum(core: Core, rows_px: int, columns_px: int) -> NDArray[np.complex12
     return core_spectrum(core, rows_px, columns_px)
 
 
-def _period(side: int, core: Core, path: Path) -> int:
+def _reach_of(core: Core, groups: Sequence[Swept]) -> float:
+    """The largest `reach_px` of some groups."""
+    return max(reach_px(core, group.path) for group in groups)
+
+
+def _period(side: int, reach_px: float) -> int:
     """Period [px] beyond which no light of a source off the window comes back into it."""
-    return fast_size(side + 2 * int(np.ceil(reach_px(core, path))), real=True)
+    return fast_size(side + 2 * int(np.ceil(reach_px)), real=True)

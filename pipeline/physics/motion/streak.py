@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Box = tuple[float, float, float, float]  # x0, x1, y0, y1 [px]
 
+RISING_SERIES = 1e-3  # of an angle, below which a series of two terms is exact
 LONGEST_PIECE_PX = 96.0
 HALVINGS = 3  # of the steps between nodes, at most, where a path bends
 SMOOTH = 0.01  # of what a path bends between nodes: what a cubic may miss to follow it there
@@ -269,6 +270,14 @@ def in_steps(path: Path, longest_px: float) -> Path:
     return Path(*nodes, (path.weight / counts)[of], path.off_px)
 
 
+def cut_at(path: Path, places: Array) -> Path:
+    """The same path in parts that end at places (m,): numbers of segments, with fractions."""
+    ends = np.arange(path.segments + 1.0)
+    at = np.unique(np.concatenate([ends, places]))
+    x, y = np.interp(at, ends, path.x_px), np.interp(at, ends, path.y_px)
+    return Path(x, y, path.weight[at[:-1].astype(np.intp)] * np.diff(at), path.off_px)
+
+
 def half_extent_px(parts: Iterable[Path]) -> tuple[float, float]:
     """How far (y, x) the nodes of paths lie from their reference points, at most [px]."""
     sizes = [(float(np.abs(p.y_px).max()), float(np.abs(p.x_px).max())) for p in parts]
@@ -430,3 +439,29 @@ def _transfer(fy, fx, x, y, weight, columns):
                 sinc = sinc_of(half_y + across[j], sin_y * cosines[j] + cos_y * sines[j])
                 out[i, j] += sinc * (turn * turns[j])
     return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_rising(out, fy, fx, x, y, weight, rise):
+    """Add the transfer function of a path whose light rises evenly along each segment: the sum of
+    (w sinc(f.d) - i r j1(pi f.d)) exp(-2 pi i f.m), with j1 the spherical Bessel function.
+
+    out (n, m) complex; fy (n,), fx (m,), x, y (k + 1,), weight (k,) as for `transfer`; rise (k,).
+    A segment of uniform motion sends (w + r u) du / 2 from each place u in (-1, 1) of it.
+    """
+    for k in range(len(weight)):
+        dx, dy = np.pi * (x[k + 1] - x[k]), np.pi * (y[k + 1] - y[k])
+        mx, my = np.pi * (x[k + 1] + x[k]), np.pi * (y[k + 1] + y[k])
+        across, sines, cosines = fx * dx, np.sin(fx * dx), np.cos(fx * dx)
+        turns = np.cos(fx * mx) - 1j * np.sin(fx * mx)
+        for i in range(len(fy)):
+            half_y = fy[i] * dy
+            sin_y, cos_y = np.sin(half_y), np.cos(half_y)
+            turn = complex(np.cos(fy[i] * my), -np.sin(fy[i] * my))
+            for j in range(len(fx)):
+                z = half_y + across[j]
+                sinc = sinc_of(z, sin_y * cosines[j] + cos_y * sines[j])
+                near = z / 3.0 * (1.0 - z * z / 10.0)
+                far = (sinc - cos_y * cosines[j] + sin_y * sines[j]) / z
+                j1 = near if abs(z) < RISING_SERIES else far
+                out[i, j] += complex(weight[k] * sinc, -rise[k] * j1) * (turn * turns[j])

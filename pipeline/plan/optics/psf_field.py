@@ -18,7 +18,7 @@ from catalog_tools.documents import JsonObject
 from pipeline.arrays import Array
 from pipeline.errors import BadInput
 from pipeline.physics.drawing.extended import point_error
-from pipeline.physics.motion.streak import Path, in_steps
+from pipeline.physics.motion.streak import Path, cut_at, in_steps
 from pipeline.physics.psf.band import BandOptics, NoiseLimit
 from pipeline.physics.psf.pupil import Blur
 from pipeline.physics.psf.response import compact_core
@@ -28,6 +28,7 @@ from pipeline.plan.optics.optics import blur_of, describe
 from pipeline.spec.scene import Scene
 from pipeline.spec.sensor.sensor import FieldPsf, OnePsf
 
+CELL_STEPS = 64  # from one place to the next, of paths whose light rises along each step
 SAMPLES = 2  # a pixel and axis at which responses are compared
 SMALL_RADIUS_PX = 1e-2  # of a body whose error as a point tells which response is the sharpest
 SAFETY, SAFE_FROM = (3.0, 2.0), 5  # over second differences: with fewer places, and from so many
@@ -87,6 +88,31 @@ class PsfField:
             if (total := float(light.sum())) > 0.0:
                 yield blur, replace(fine, weight=light / total), total
 
+    def rising(
+        self, path: Path, x_px: float, y_px: float
+    ) -> Iterator[tuple[Blur, Path, Array, float]]:
+        """The same, with the rise of each step's light (n,): steps end where the field has places,
+        and along each of them a share is a straight line but for CELL_STEPS^-2 / 6 of it."""
+        fine = self._in_cells(path, x_px, y_px)
+        x, y = (_with_middles(at + v) for at, v in ((x_px, fine.x_px), (y_px, fine.y_px)))
+        for blur, share in self.shares(x, y):
+            first, middle, last = share[:-1:2], share[1::2], share[2::2]
+            light = fine.weight * (first + 4.0 * middle + last) / 6.0
+            if (total := float(light.sum())) > 0.0:
+                rise = fine.weight * (last - first) / (2.0 * total)
+                yield blur, replace(fine, weight=light / total), rise, total
+
+    def _in_cells(self, path: Path, x_px: float, y_px: float) -> Path:
+        """A path cut where it crosses a row or a column of places, and in even steps."""
+        cuts, least_px = [], math.inf
+        for at, places in ((x_px + path.x_px, self.columns_px), (y_px + path.y_px, self.rows_px)):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                t = (np.array(places)[:, None] - at[:-1]) / np.diff(at)
+            which, of = np.nonzero((t > 0.0) & (t < 1.0))
+            cuts.append(of + t[which, of])
+            least_px = min(least_px, np.diff(places).min(initial=math.inf))
+        return in_steps(cut_at(path, np.concatenate(cuts)), least_px / CELL_STEPS)
+
     @cached_property
     def steepest(self) -> float:
         """By how much a response changes from pixel to pixel of the field and of its image, at
@@ -97,6 +123,34 @@ class PsfField:
             slopes = (np.abs(np.diff(change, axis=axis)).max(initial=0.0) for axis in (-2, -1))
             found = math.hypot(found, SAMPLES * max(slopes))
         return found
+
+    @cached_property
+    def _changes(self) -> tuple[float, float, float]:
+        """By how much a pixel changes from pixel to pixel of the field, and by how much the pixels
+        of a line, and all of them, do together: at most, per unit light."""
+        most = line = every = 0.0
+        for change in map(np.abs, changes_of(self)):
+            lines = max(change.sum(axis=axis).max(initial=0.0) for axis in (-2, -1))
+            most = math.hypot(most, float(change.max(initial=0.0)))
+            line = math.hypot(line, float(lines) / SAMPLES)
+            whole = change.sum(axis=(-2, -1)).max(initial=0.0)
+            every = math.hypot(every, float(whole) / SAMPLES**2)
+        return most, line, every
+
+    def end_change(self, length_px: float) -> float:
+        """What a pixel errs by at the ends of a streak of L px that is drawn with the responses of
+        its middle, per unit light F: there they are L/2 changes off; of F/L on each px of the
+        streak a pixel sums F/2 of the changes along a line, or, of a short streak, F L/2 of the
+        largest."""
+        most, line, _ = self._changes
+        return 0.5 * min(length_px * most, line)
+
+    def edge_change(self, radius_px: float) -> float:
+        """The same at the edge of an even disc of R px, where responses are R changes off: of
+        F / pi R^2 on each pixel of the disc one sums half of all changes, which sum to nothing, or,
+        of a small disc, F R of the largest."""
+        most, _, every = self._changes
+        return min(radius_px * most, 0.5 * every / (math.pi * max(radius_px, 1e-9)))
 
     def near(self, y0_px: float, y1_px: float, x0_px: float, x1_px: float) -> tuple[Blur, ...]:
         """The responses that any source in a rectangle of places may have a part in."""
@@ -148,6 +202,11 @@ class PsfField:
 def _index(places_px: tuple[float, ...], at_px: Array) -> Array:
     """Places (n,) in units of the grid, held to it."""
     return np.interp(at_px, places_px, np.arange(len(places_px), dtype=float))
+
+
+def _with_middles(values: Array) -> Array:
+    """Values (n,) with the mean of each two between them (2 n - 1,)."""
+    return np.interp(np.arange(2 * len(values) - 1) / 2.0, np.arange(len(values)), values)
 
 
 def _hat(t: Array) -> Array:

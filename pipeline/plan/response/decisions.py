@@ -21,6 +21,7 @@ from pipeline.plan.response.responses import (
     end_share_of,
     table_error,
 )
+from pipeline.plan.response.streaks import StreakPlan
 from pipeline.plan.rule import PlanBasis, Rule
 from pipeline.plan.tiles import BLOCK_PX
 
@@ -144,10 +145,10 @@ def _streaks(basis: PlanBasis) -> list[Decision]:
         reason = (
             f"{s.zones} x {s.zones} zone(s) and {s.pieces} segment(s) of the exposure, each with "
             "one shape for all its stars, set where each star's own light is. Ends are off by at "
-            f"most {s.off_px:.2g} px, {s.spread_px:.2g} px of it the field's: about that fraction "
-            f"of the light of a pixel there. Paths are straight between {ends.nodes} nodes, off by "
-            f"at most {bend_px(basis.scene, ends, basis.resolved.dut1_s):.2g} px in the frames "
-            "looked at"
+            f"most {s.off_px:.2g} px, {s.spread_px:.2g} px of it the field's{_of_responses(s)}: "
+            "about that fraction of the light of a pixel there. Paths are straight between "
+            f"{ends.nodes} nodes, off by at most "
+            f"{bend_px(basis.scene, ends, basis.resolved.dut1_s):.2g} px in the frames looked at"
         )
     bound = min(s.error_e(basis.brightest_e or math.inf), basis.within_budget("common_streak")[0])
     if s.own_from_e_px < math.inf:
@@ -168,6 +169,11 @@ def _streaks(basis: PlanBasis) -> list[Decision]:
         errs = r.budget_e, r.budget_e / sigma_e
         out.append(Decision("crowds_by_transforms", True, _crowds_said(r, own), *errs))
     return out
+
+
+def _of_responses(s: StreakPlan) -> str:
+    """What responses that change over the field have of how far off ends are."""
+    return f", {s.field_px:.2g} px its responses' changes" if s.field_px else ""
 
 
 def _crowds_said(r: ResponsePlan, own: list[CoreClass]) -> str:

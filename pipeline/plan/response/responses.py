@@ -34,7 +34,13 @@ from pipeline.plan.optics.optics import (
     missing_light,
 )
 from pipeline.plan.pointing.star_light import star_light
-from pipeline.plan.response.streaks import StreakPlan, plan_streaks, resting, zone_streak
+from pipeline.plan.response.streaks import (
+    StreakPlan,
+    over_field,
+    plan_streaks,
+    resting,
+    zone_streak,
+)
 from pipeline.plan.response.wing_sweeps import WingSweeps, wing_sweeps
 from pipeline.plan.tiles import BLOCK_PX
 from pipeline.spec.scene import Scene
@@ -327,6 +333,8 @@ def _star_streaks(
     if streaks.still and streaks.longest_px:
         measures = ([measure(b) for b in blurs] for measure in (point_curvature, point_slope))
         streaks = resting(streaks, *map(max, measures))
+    elif facts.field is not None and not streaks.still:
+        streaks = over_field(streaks, facts.field.end_change)
     return _shortest_piece(camera, ends, streaks, aberration), streaks
 
 

@@ -10,6 +10,7 @@ show along their own path, one by one.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +39,7 @@ __all__ = [
     "centroid",
     "exact_path",
     "merged_px",
+    "over_field",
     "plan_streaks",
     "resting",
     "zone_streak",
@@ -138,6 +140,8 @@ class StreakPlan:
     shortest_px : of all streaks; tolerance_px : what `spread_px` may be
     light : what changes the light along them, None where it is even; light_px : how far that is
         off between its steps
+    field_px : the same of responses that change over the field, of which pieces take those of
+        their middle
     finer : the same in more pieces, for brighter stars; None where that leaves no less
     """
 
@@ -159,6 +163,7 @@ class StreakPlan:
     tolerance_px: float = SPREAD_TOLERANCE_PX
     light: ChangingLight | None = None
     light_px: float = 0.0
+    field_px: float = 0.0
     finer: StreakPlan | None = None
 
     @property
@@ -173,7 +178,7 @@ class StreakPlan:
         A pixel errs by at most that part of the light of a px of path.
         """
         apart = min(self.spread_px + self.rounding_px + self.light_px, self.longest_px)
-        return min(apart, self.at_rest)
+        return min(apart + self.field_px, self.at_rest)
 
     @property
     def still(self) -> bool:
@@ -332,6 +337,21 @@ def resting(plan: StreakPlan, curvature: float, slope: float) -> StreakPlan:
     """
     error = curvature * 5.0 * plan.longest_px**2 / 4.0 + slope * min(plan.own_px, plan.spread_px)
     made = replace(plan, at_rest=error)
+    return replace(made, own_from_e_px=light_from(made.off_px, made))
+
+
+def over_field(plan: StreakPlan, change: Callable[[float], float]) -> StreakPlan:
+    """The plan of streaks over a field of responses.
+
+    change : what a pixel errs by at the ends of a streak of some px that is drawn with the
+        responses of its middle, per unit light
+    """
+    piece_px = plan.longest_px / plan.pieces
+    made = replace(
+        plan,
+        field_px=piece_px * change(piece_px),
+        finer=None if plan.finer is None else over_field(plan.finer, change),
+    )
     return replace(made, own_from_e_px=light_from(made.off_px, made))
 
 

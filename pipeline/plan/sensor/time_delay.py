@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pipeline.arrays import Geometry
 from pipeline.physics.psf.response import compact_core
 from pipeline.plan.response.responses import point_slope
-from pipeline.plan.stars.field_streaks import longest_px
+from pipeline.plan.stars.longest_streaks import longest_px
 from pipeline.spec.sensor.detector import TimeDelay
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from pipeline.arrays import Geometry
 from pipeline.physics.psf.response import compact_core
 from pipeline.plan.pointing.geometry import PATH_TOLERANCE_PX, bend_px
 from pipeline.plan.response.responses import point_slope
-from pipeline.plan.stars.field_streaks import longest_px
+from pipeline.plan.stars.longest_streaks import longest_px
 from pipeline.plan.timing import dwell_plans
 
 if TYPE_CHECKING:

@@ -11,7 +11,9 @@ from pipeline.physics.motion.streak import (
     HALVINGS,
     POINT,
     Path,
+    add_rising,
     curve_through,
+    cut_at,
     densest_share,
     in_few_runs,
     in_steps,
@@ -125,6 +127,34 @@ def test_the_sinc_is_smooth_through_its_series() -> None:
     value = transfer(np.zeros(1), fx, np.array([-0.5, 0.5]), np.zeros(2), np.ones(1))
     assert abs(value[0, 0] - value[0, 1]) < 1e-15
     assert abs(value[0, 0] - np.sinc(fx[0])) < 1e-15
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3, 0.0])
+def test_light_that_rises_along_segments_against_quadrature(scale: float) -> None:
+    """Two segments of unlike rise, and one that stands still; added to what is there."""
+    x, y = scale * np.array([-3.0, 2.0, 2.0, 6.5]) + 0.3, scale * np.array([1.0, 0.0, 0.0, 9.0])
+    weight, rise = np.array([0.3, 0.2, 0.5]), np.array([0.25, 0.0, -0.4])
+    fy, fx = np.linspace(-1.0, 0.9, 12), np.linspace(0.0, 1.0, 9)
+    out = np.ones((12, 9), complex)
+    add_rising(out, fy, fx, x, y, weight, rise)
+    u, gauss = np.polynomial.legendre.leggauss(80)
+    wanted = np.ones((12, 9), complex)
+    for k in range(3):
+        light = 0.5 * gauss * (weight[k] + rise[k] * u)
+        at_x, at_y = (0.5 * (v[k] * (1.0 - u) + v[k + 1] * (1.0 + u)) for v in (x, y))
+        turns = np.exp(-2j * np.pi * fy[:, None, None] * at_y)
+        turns = turns * np.exp(-2j * np.pi * fx[None, :, None] * at_x)
+        wanted += turns @ light
+    assert np.abs(out - wanted).max() < 1e-13
+
+
+def test_a_path_cut_at_places_is_the_same_path() -> None:
+    path = Path(np.array([0.0, 4.0, 4.0]), np.array([0.0, 2.0, 9.0]), np.array([0.75, 0.25]))
+    cut = cut_at(path, np.array([0.5, 1.0, 1.25]))
+    assert cut.x_px.tolist() == [0.0, 2.0, 4.0, 4.0, 4.0]
+    assert cut.y_px.tolist() == [0.0, 1.0, 2.0, 3.75, 9.0]
+    assert cut.weight.tolist() == [0.375, 0.375, 0.0625, 0.1875]
+    assert cut_at(path, np.zeros(0)).x_px.tolist() == path.x_px.tolist()
 
 
 def timed_places(x: np.ndarray, y: np.ndarray, w: np.ndarray, at: np.ndarray) -> np.ndarray:
