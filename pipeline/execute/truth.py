@@ -34,6 +34,7 @@ from pipeline.physics.vectors import to_angles
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.occultation import hidden_by, targets_seen
 from pipeline.plan.resolved import ResolvedScene
+from pipeline.plan.response.own_paths import TOGETHER, star_offsets
 from pipeline.plan.response.streaks import Streak
 
 Columns = dict[str, Any]
@@ -41,6 +42,7 @@ Columns = dict[str, Any]
 ROW = 1 << 32  # from a pixel's number to that of the one above it
 MOST_PIECES = 256  # of a path whose SNR counts each of its pixels once
 MOST_VALUES = 1 << 22  # of a streak's pixels at several lights, held at a time
+ZONES_PX = 2e-4  # that paths may be off where truth tells them from their zones
 LENGTHS, ALIKE = 9, 0.01  # of streaks, by whose arcsinh SNR is tabulated where it differs by more
 
 
@@ -55,12 +57,7 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
     """
     paths = streaks(plan, g)
     zones = zone_of(plan, stars.x_px, stars.y_px)
-    ends, light = np.zeros((4, len(stars))), np.zeros((2, len(stars)))
-    for zone in np.unique(zones):
-        mine, s = zones == zone, paths[zone]
-        x, y = stars.x_px[mine], stars.y_px[mine]
-        ends[:, mine] = [*s.at(s.start, x, y), *s.at(s.end, x, y)]
-        light[:, mine] = sum(p.share * np.array(s.at(p.centre, x, y)) for p in s.pieces)
+    ends, light = _followed(plan, g, paths, zones, stars)
     snr = _star_snr(plan, paths, zones, stars, int(g.frame[0]))
     light[:, stars.visible_fraction <= 0.0] = np.nan
     for star in setting_stars(plan, g, stars):
@@ -93,6 +90,32 @@ def star_truth(plan: Plan, g: Geometry, stars: FrameStars) -> Columns:
         "catalogue": stars.catalogue,
         **_hidden(plan, stars.visible_fraction),
     }
+
+
+def _followed(
+    plan: Plan, g: Geometry, paths: list[Streak], zones: NDArray[np.intp], stars: FrameStars
+) -> tuple[Array, Array]:
+    """Start and end (4, n) of the paths of stars and the centroid of their light (2, n), from
+    their places at mid-exposure: interpolated across their zones, or each by itself where that
+    would be off. What interpolation errs by in a zone grows beside it like u (u^2 - 1)."""
+    ends, light = np.zeros((4, len(stars))), np.zeros((2, len(stars)))
+    alone, own_px = np.zeros(len(stars), bool), plan.responses.streaks.own_px
+    for zone in np.unique(zones):
+        mine, s = zones == zone, paths[zone]
+        x, y = stars.x_px[mine], stars.y_px[mine]
+        ends[:, mine] = [*s.at(s.start, x, y), *s.at(s.end, x, y)]
+        light[:, mine] = sum(p.share * np.array(s.at(p.centre, x, y)) for p in s.pieces)
+        beyond = np.abs(s.zone.uv(x, y)).max(axis=0)
+        alone[mine] = own_px * np.maximum(1.0, 2.6 * beyond * (beyond**2 - 1.0)) > ZONES_PX
+    which = np.flatnonzero(alone)
+    aberration, changes = plan.scene.star_effects["aberration"], plan.responses.streaks.light
+    for first in range(0, len(which), TOGETHER):
+        some = which[first : first + TOGETHER]
+        places = stars.x_px[some], stars.y_px[some]
+        offsets = star_offsets(plan.camera, g, *places, aberration, changes)[:, :, 0]
+        ends[:, some] = *offsets[..., 0], *offsets[..., -1]
+        light[:, some] = 0.5 * (offsets[..., 1:] + offsets[..., :-1]).mean(axis=-1)
+    return ends, light
 
 
 def _star_snr(
