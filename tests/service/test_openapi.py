@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from schemathesis import GenerationMode
 
 from pipeline.spec.json_schemas import json_schema
-from service.openapi import SCENE
+from service.openapi import JOB, SCENE
 from tests.service.drawn import (
     CATALOGUE,
     FILES,
@@ -41,6 +41,15 @@ def test_the_example_is_accepted(server: Any) -> None:
     made = server.client.post("/v1/jobs", json=SCENE)
     assert made.status_code == 202
     assert server.client.delete(made.headers["location"]).status_code == 204
+
+
+def test_the_example_of_a_job_is_one_that_runs() -> None:
+    """As the service answers of it: nobody asked to cancel it, and nothing is at its end."""
+    told = JOB["example"]
+    assert (told["phase"], told["cancel_asked"], told["ended"]) == ("EXECUTING", False, None)
+    assert 0 < told["tiles_done"] < told["tiles_total"]
+    assert told["submitted"] < told["started"]
+    assert told["links"]["self"].endswith(told["id"])
 
 
 @pytest.mark.parametrize("of", ["scene", "sweep", "study"])

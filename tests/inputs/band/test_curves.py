@@ -96,6 +96,7 @@ def test_limits_bad_efficiency(value):
         ("300,0\n400,0.5\n800,0.5\n", "ends at 800 nm with 0.5"),
         ("1000,0\n1100,0.5\n", "wavelengths in common"),
         ("300,0\n1000,0\n", "above zero"),
+        ("0.4,0.5\n400,0.5\n900,0.5\n", "0.4 to 900.*wavelengths in nm"),
     ],
 )
 def test_limits_bad_table(tmp_path, text, words):

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.arrays import Geometry
+from pipeline.physics.psf.product import product_table
 from pipeline.physics.psf.pupil import Blur, EllipticalGaussian, Gaussian
 from pipeline.plan.accuracy import total_sigma
 from pipeline.plan.plan import Plan
@@ -121,6 +122,16 @@ def test_wings_err_by_their_class_and_together() -> None:
     faint = of_stars(r, stars(r, *([1e-6] * 40))).errors_e[WINGS]
     assert faint == pytest.approx(4e-9)  # however little each errs by
     assert of_stars(r, stars(r)).errors_e[WINGS] == 0.0
+
+
+def test_products_err_by_the_worst_of_their_tables() -> None:
+    r = responses(streaks=replace(streaks(longest_px=1e-3), step_px=1.0))
+    r = replace(r, classes=(replace(r.classes[0], radius_px=4.0), r.classes[1]))
+    assert r.products
+    shares = [product_table(r.blur, core.radius_px).cubic_error for core in r.classes]
+    assert shares[0] > 1.5 * shares[1]
+    found = of_stars(r, stars(r, 100.0)).errors_e["phase_interpolation"]
+    assert found == pytest.approx(100.0 * max(shares))
 
 
 def target(r: ResponsePlan, light_e: float, size_px: float, extended: bool, way_px: float) -> float:
