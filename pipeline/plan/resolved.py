@@ -17,7 +17,7 @@ from pipeline.plan.accuracy import part_sigma
 from pipeline.plan.facts import Facts
 from pipeline.plan.pointing.geometry import camera_of
 from pipeline.plan.response.responses import ResponsePlan, plan_responses
-from pipeline.plan.response.streaks import allowed_e, merged_px
+from pipeline.plan.response.streaks import STEP_PART, allowed_e, merged_px
 from pipeline.plan.sensor.detector import collected_for, lag_depth
 from pipeline.plan.timing import frame_count, frame_times, integration_range_s, integration_s
 from pipeline.spec.scene import Scene
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from pipeline.physics.sky.extinction import BandExtinction
     from pipeline.plan.sky.sky import SkyPlan
 
-STEP_PART = 0.2  # of one approximation's part, for the responses of steps along a path
 SHORTEST_STEP_PX = 0.05
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -18,7 +19,7 @@ from pipeline.errors import BadInput
 from pipeline.execute import check, tables
 from pipeline.execute.blocks import render_block
 from pipeline.execute.light import _draw_path, draw_exact, draw_stars, draw_targets
-from pipeline.execute.sources import FrameTarget, streaks
+from pipeline.execute.sources import FrameTarget, place_targets, streaks
 from pipeline.execute.tables import ContentCache
 from pipeline.execute.truth import matched_snr
 from pipeline.physics.drawing.direct import draw_direct
@@ -346,6 +347,31 @@ def test_a_body_takes_the_responses_along_its_path(catalogue, monkeypatch):
         assert images[1].sum() == pytest.approx(light, rel=2e-3)
         off = np.abs(images[0] - images[1]).max()
         assert off < most * images[1].max()
+
+
+def test_what_a_body_loses_by_the_responses_of_its_middle_is_told():
+    """More than points all over its lit side differ, each with its own responses; nothing of one
+    that is hardly larger than a point."""
+    from tests.execute import test_extended as discs  # the scene of a resolved sphere
+
+    rows = [[{"kind": "gaussian", "sigma_px": s} for s in (0.8, 1.6)]]
+    psf = {"kind": "field", "rows_px": [0.0], "columns_px": [0.0, 399.0], "psfs": rows}
+    made = discs.scene(160.0, psf)
+    plan = prepare(made).plan
+    g = plan_geometry(plan.scene, np.zeros(1, np.int64), 0.0)
+    [target], whole = place_targets(plan, g), Tile(0, 0, 0, 0, discs.SIDE, discs.SIDE)
+    image, parts = draw_targets(plan, g, whole, []), np.zeros((discs.SIDE, discs.SIDE))
+    y, x, share = target.body.points(1.0)
+    places = target.x_px + x, target.y_px + y, target.light_e * share
+    draw_exact(plan, parts, whole, len(plan.responses.classes) - 1, POINT, *places)
+    assert image.sum() == pytest.approx(parts.sum(), rel=1e-6)
+    off = np.abs(image - parts) / np.sqrt(plan.facts.light_floor_e**2 + parts)
+    (told,) = [w for w in plan.warnings if "responses of their middle" in w]
+    said = float(re.search(r"([\d.e+-]+) of its noise", told)[1])
+    assert "one of 8 px in radius" in told
+    assert 0.1 * said < off.max() < said
+    small = prepare(discs.scene(0.2, psf)).plan
+    assert not [w for w in small.warnings if "responses of their middle" in w]
 
 
 @pytest.mark.parametrize("light_e", [1e4, 1e6, 1e8])

@@ -145,12 +145,12 @@ class PsfField:
         most, line, _ = self._changes
         return 0.5 * min(length_px * most, line)
 
-    def edge_change(self, radius_px: float) -> float:
-        """The same at the edge of an even disc of R px, where responses are R changes off: of
-        F / pi R^2 on each pixel of the disc one sums half of all changes, which sum to nothing, or,
-        of a small disc, F R of the largest."""
+    def edge_change(self, radius_px: Array, share_px: Array) -> Array:
+        """The same (n,) at the edge of discs of R px, where responses are R changes off: of a share
+        of the light on each px there a pixel sums half of all changes, which sum to nothing, or, of
+        a small disc, R of the largest."""
         most, _, every = self._changes
-        return min(radius_px * most, 0.5 * every / (math.pi * max(radius_px, 1e-9)))
+        return radius_px * np.minimum(most, 0.5 * every * share_px)
 
     def near(self, y0_px: float, y1_px: float, x0_px: float, x1_px: float) -> tuple[Blur, ...]:
         """The responses that any source in a rectangle of places may have a part in."""

@@ -55,6 +55,7 @@ MOST_NODES = 17  # by which the length of a star's streak is taken
 SLACK = 1.5  # over what the plan knows of some frames: what others may differ or be longer by
 SHOWN = 0.02  # of the budget: what merging the nodes of own paths may err by
 POINTS = 0.25  # and what the table of the points may, that such paths are drawn as
+STEP_PART = 0.2  # and what responses of the middle of steps may, where these change over the field
 EVEN = 0.1  # of a tolerance: what light that changes may be off between steps of equal light
 UNKNOWN_E = 1e12  # of the brightest star, where it is not known
 
@@ -208,6 +209,7 @@ class StreakPlan:
         shown_e = SHOWN * self.budget_e
         bright_e = shown_e + np.maximum(shown_e, self.rounded_e(light_e))
         bright_e = bright_e + np.minimum(points_e, POINTS * self.budget_e)
+        bright_e = bright_e + STEP_PART * self.budget_e * bool(self.field_px)
         if self.finer is not None:
             bright_e = np.maximum(bright_e, self.finer.errors_e(light_e, points_e))
         error_e = np.where(light_e > self.own_from_e_px * longest, bright_e, error_e)

@@ -60,14 +60,19 @@ def brightest_target_e(scene: Scene, g: Geometry, sun_rate_e_s_m2: float) -> flo
     return float(MARGIN * light * sun_rate_e_s_m2 * area_s)
 
 
+def targets_e(plan: ResolvedScene, g: Geometry) -> Array:
+    """Most light (T, F) that each target sends in the longest exposure [e-], MARGIN times."""
+    light_e = g.target_light * (MARGIN * plan.sun_rate_e_s_m2 * _area_m2(plan.scene))
+    return np.nan_to_num(light_e.max(axis=-1) * integration_range_s(plan.scene)[1])
+
+
 def points_beyond(plan: ResolvedScene, g: Geometry) -> bool:
     """Whether a target in or beside the frames of a geometry is brighter than all core classes
     serve though it is drawn as a point: a sphere whose disc shows is not."""
     scene, r = plan.scene, plan.responses
     if not (scene.targets and r.classes):
         return False
-    light_e = g.target_light * (MARGIN * plan.sun_rate_e_s_m2 * _area_m2(scene))
-    light_e = np.nan_to_num(light_e.max(axis=-1) * integration_range_s(scene)[1])
+    light_e = targets_e(plan, g)
     size = [
         0.5 * t.body.diameter_m if isinstance(t.body, SphereBody) else 0.0 for t in scene.targets
     ]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.arrays import Geometry
 from pipeline.plan.bodies.sizes import limb_px, radius_m
-from pipeline.plan.tiles import distance_px
+from pipeline.plan.pointing.paths import near_frame
+from pipeline.plan.stars.brightest import targets_e
 from pipeline.spec.targets.body import SphereBody
 from pipeline.spec.targets.mesh import MeshBody
 
@@ -18,32 +18,30 @@ if TYPE_CHECKING:
 
 
 def field_body_warnings(plan: ResolvedScene, g: Geometry) -> list[str]:
-    """That discs and pictures are drawn with the responses of their middle, where that shows."""
-    field, radius_px = plan.responses.field, _largest_px(plan, g)
-    if field is None or not radius_px > 0.0:
+    """That discs and pictures are drawn with the responses of their middle, where that shows.
+
+    The limb is taken to be as bright as a Lambert sphere is where the Sun stands overhead: 3 / 2 F
+    / (pi R^2 phi), phi its phase function, 1 where it is full (Lambert 1760).
+    """
+    scene, field = plan.scene, plan.responses.field
+    sized = np.array([isinstance(t.body, SphereBody | MeshBody) for t in scene.targets], bool)
+    if field is None or not sized.any():
         return []
-    light_e, asked = plan.facts.brightest_e, plan.scene.accuracy.noise_fraction
-    off_e = field.edge_change(radius_px) * light_e
-    photons_e = plan.scene.sensor.photon_noise * light_e / max(1.0, math.pi * radius_px**2)
-    photons_e /= max(1.0, plan.facts.flat)
-    sigma = off_e / math.sqrt(plan.facts.light_floor_e**2 + photons_e)
-    if sigma <= asked:
+    seen = near_frame(scene, g) & sized[:, None]
+    size_m = np.array([radius_m(t.body) for t in scene.targets])[:, None]
+    radius_px = limb_px(size_m, g.target_range_m.min(axis=-1), plan.facts.ifov_rad)[seen]
+    phase = g.target_phase_rad.max(axis=-1)[seen]
+    lit = (np.sin(phase) + (np.pi - phase) * np.cos(phase)) / np.pi
+    share_px = 1.0 / np.maximum(1.0, np.pi * radius_px**2 * lit / 1.5)
+    light_e = targets_e(plan, g)[seen]
+    off_e = field.edge_change(radius_px, share_px) * light_e
+    photons_e = light_e * share_px / max(1.0, plan.facts.flat)
+    sigma = off_e / np.sqrt(plan.facts.light_floor_e**2 + scene.sensor.photon_noise * photons_e)
+    asked, worst = scene.accuracy.noise_fraction, int(np.argmax(sigma)) if sigma.size else 0
+    if not sigma.size or sigma[worst] <= asked:
         return []
     return [
-        f"sensor.psf: bodies (up to {radius_px:.3g} px in radius) are drawn with the responses of "
-        f"their middle: at its edge a pixel of the brightest source is some {off_e:.2g} e- off, "
-        f"{sigma:.2g} of its noise (asked: {asked:g})"
+        f"sensor.psf: bodies are drawn with the responses of their middle: at the edge of one of "
+        f"{radius_px[worst]:.3g} px in radius a pixel is up to {off_e[worst]:.2g} e- off, "
+        f"{sigma[worst]:.2g} of its noise (asked: {asked:g})"
     ]
-
-
-def _largest_px(plan: ResolvedScene, g: Geometry) -> float:
-    """Radius [px] of the largest body with a size that comes into the frame."""
-    sized = [isinstance(t.body, SphereBody | MeshBody) for t in plan.scene.targets]
-    if not any(sized):
-        return 0.0
-    size_m = np.array([radius_m(t.body) for t in plan.scene.targets])[:, None]
-    radius_px = limb_px(size_m, g.target_range_m.min(axis=-1), plan.facts.ifov_rad)
-    shape = plan.camera.rows, plan.camera.columns
-    off_px = np.nan_to_num(distance_px(g.target_x_px, g.target_y_px, 0, 0, *shape), nan=math.inf)
-    near = np.array(sized)[:, None] & (off_px.min(axis=-1) <= radius_px)
-    return float(radius_px[near].max(initial=0.0))

@@ -37,7 +37,15 @@ from pipeline.plan.response.sources import (
     stars_known,
     targets_known,
 )
-from pipeline.plan.response.streaks import POINTS, SHOWN, SLACK, StreakPlan, light_from
+from pipeline.plan.response.streaks import (
+    POINTS,
+    SHOWN,
+    SLACK,
+    STEP_PART,
+    StreakPlan,
+    light_from,
+    over_field,
+)
 from pipeline.resolve.resolve import resolve
 from pipeline.route.prepare import prepare
 from pipeline.route.run import render
@@ -88,6 +96,21 @@ def test_faint_streaks_err_by_their_own_light_and_bright_ones_by_what_draws_them
     assert (points[:3] == found[:3]).all()
     assert some[3] == pytest.approx((2.0 * SHOWN + 0.1 * POINTS) * BUDGET_E)
     assert not s.errors_e(np.empty(0), np.empty(0)).size
+
+
+def test_responses_that_change_over_the_field_count_along_streaks() -> None:
+    """Of one shape by what the ends of its pieces err by, of a path of its own by its steps'."""
+    s = streaks()
+    asked: list[float] = []
+    over = over_field(replace(s, pieces=4, finer=s), lambda px: asked.append(px) or 1e-4)
+    assert asked == [7.5, 30.0]
+    assert over.off_px == pytest.approx(s.off_px + 7.5e-4)
+    assert over.own_from_e_px < s.own_from_e_px
+    assert over.finer is not None
+    assert over.finer.own_from_e_px < over.own_from_e_px
+    bright = np.array([1e6 * s.own_from_e_px])
+    plain, stepped = (v.errors_e(bright, np.zeros(1)) for v in (s, replace(over, finer=None)))
+    assert stepped - plain == pytest.approx(STEP_PART * BUDGET_E)
 
 
 def test_what_has_no_noise_of_its_own_hides_nothing() -> None:
