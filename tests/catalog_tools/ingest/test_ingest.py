@@ -23,11 +23,13 @@ from star_rows import random_stars, same_rows, write_csv
 from catalog_tools.catalogue import REJECTS_NAME, SOURCES_NAME, open_catalogue
 from catalog_tools.columns import HEALPIX_COLUMN, NAMES, STORED
 from catalog_tools.coverage import all_sky
+from catalog_tools.engine.schedulers import LocalScheduler
 from catalog_tools.errors import BadInput, Damaged, DiskFull, Incomplete
 from catalog_tools.fetch.fetched import note_coverage
 from catalog_tools.forms import load_form
 from catalog_tools.info import info
 from catalog_tools.ingest import batches, build, duplicates, leaves, memory, publish
+from catalog_tools.ingest import ingest as of_ingest
 from catalog_tools.ingest.ingest import SYNTHETIC_MARK, FileSource, ingest
 from catalog_tools.ingest.judging import PLACE_COLUMN
 from catalog_tools.ingest.shards import band_slices
@@ -908,3 +910,25 @@ def test_a_catalogue_that_came_while_the_lock_was_waited_for_is_not_replaced(tmp
     with pytest.raises(BadInput, match="output"):
         ingest([tmp_path / "second.csv"], tmp_path / "catalogue", workers=1)
     assert [(tmp_path / "catalogue" / "nightglass.json").read_bytes()] == bits
+
+
+def test_tasks_run_where_they_are_asked_to(tmp_path, parts, monkeypatch):
+    """By the scheduler that is given, else by so many threads."""
+    made, ran = [], []
+
+    class Watched(LocalScheduler):
+        def __init__(self, kind, workers):
+            super().__init__(kind, workers)
+            made.append((kind, workers))
+
+        def run(self, graph, keys, done):
+            ran.append(self)
+            return super().run(graph, keys, done)
+
+    mine = Watched("synchronous", 1)
+    ingest(parts[1], tmp_path / "given", scheduler=mine)
+    assert set(ran) == {mine}
+    monkeypatch.setattr(of_ingest, "LocalScheduler", Watched)
+    ingest(parts[1], tmp_path / "threads", workers=3)
+    assert made == [("synchronous", 1), ("threads", 3)]
+    assert ran[-1].kind == "threads"
