@@ -390,6 +390,8 @@ def test_a_path_of_its_own_takes_the_responses_along_it(catalogue, light_e, beyo
     draw_exact(plan, parts, tile, 0, POINT, *places)
     assert out.sum() == pytest.approx(light_e, rel=1e-5)
     assert plan.field_step_px(path, 5.0, 0.0) == LONGEST_PIECE_PX  # of one without light
+    steps = [plan.field_step_px(path.scaled(1e-3), 5.0, e) for e in (1e12, 1e14)]
+    assert steps[0] == pytest.approx(10.0**0.5 * steps[1], rel=0.01)  # as its noise grows
     noise = np.sqrt(plan.facts.light_floor_e**2 + np.maximum(parts, 0.0))
     assert (np.abs(out - parts) / noise).max() < 2e-3
 
