@@ -34,7 +34,7 @@ from pipeline.physics.vectors import to_angles
 from pipeline.plan.plan import Plan
 from pipeline.plan.pointing.occultation import hidden_by, targets_seen
 from pipeline.plan.resolved import ResolvedScene
-from pipeline.plan.response.own_paths import TOGETHER, star_offsets
+from pipeline.plan.response.own_paths import offsets_in_parts
 from pipeline.plan.response.streaks import Streak
 
 Columns = dict[str, Any]
@@ -109,12 +109,10 @@ def _followed(
         alone[mine] = own_px * np.maximum(1.0, 2.6 * beyond * (beyond**2 - 1.0)) > ZONES_PX
     which = np.flatnonzero(alone)
     aberration, changes = plan.scene.star_effects["aberration"], plan.responses.streaks.light
-    for first in range(0, len(which), TOGETHER):
-        some = which[first : first + TOGETHER]
-        places = stars.x_px[some], stars.y_px[some]
-        offsets = star_offsets(plan.camera, g, *places, aberration, changes)[:, :, 0]
-        ends[:, some] = *offsets[..., 0], *offsets[..., -1]
-        light[:, some] = 0.5 * (offsets[..., 1:] + offsets[..., :-1]).mean(axis=-1)
+    places = stars.x_px[which], stars.y_px[which]
+    for some, offsets in offsets_in_parts(plan.camera, g, *places, aberration, changes):
+        ends[:, which[some]] = *offsets[..., 0], *offsets[..., -1]
+        light[:, which[some]] = 0.5 * (offsets[..., 1:] + offsets[..., :-1]).mean(axis=-1)
     return ends, light
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pipeline.physics.sky.extinction import BandExtinction
     from pipeline.plan.sky.sky import SkyPlan
 
-SHORTEST_STEP_PX = 5e-3
+SHORTEST_STEP_PX = 5e-3  # of a path, however bright its source
 
 
 @dataclass(frozen=True)

@@ -63,10 +63,23 @@ def exact_paths(
     merge_px : (n,), or of all: as of `paths_through`; light : as of `star_offsets`
     """
     merge_px = np.broadcast_to(merge_px, x_px.shape)
+    for some, offsets in offsets_in_parts(camera, g, x_px, y_px, aberration, light):
+        yield from paths_through(offsets, merge_px[some])
+
+
+def offsets_in_parts(
+    camera: Camera,
+    g: Geometry,
+    x_px: Array,
+    y_px: Array,
+    aberration: bool,
+    light: ChangingLight | None = None,
+) -> Iterator[tuple[slice, Array]]:
+    """`star_offsets` of many stars in the one frame of `g`, TOGETHER at a time: which, and their
+    offsets (2, m, K)."""
     for first in range(0, len(x_px), TOGETHER):
         some = slice(first, first + TOGETHER)
-        offsets = star_offsets(camera, g, x_px[some], y_px[some], aberration, light)[:, :, 0]
-        yield from paths_through(offsets, merge_px[some])
+        yield some, star_offsets(camera, g, x_px[some], y_px[some], aberration, light)[:, :, 0]
 
 
 def paths_through(offsets: Array, merge_px: Array) -> Iterator[Path]:

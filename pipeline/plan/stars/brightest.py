@@ -55,15 +55,14 @@ def brightest_target_e(scene: Scene, g: Geometry, sun_rate_e_s_m2: float) -> flo
     seen = near_frame(scene, g, FARTHEST_PX)
     if not seen.any():
         return 0.0
-    light = np.nanmax(g.target_light[seen])
-    area_s = _area_m2(scene) * integration_range_s(scene)[1]
-    return float(MARGIN * light * sun_rate_e_s_m2 * area_s)
+    return float(targets_e(scene, g, sun_rate_e_s_m2)[seen].max())
 
 
-def targets_e(plan: ResolvedScene, g: Geometry) -> Array:
+def targets_e(scene: Scene, g: Geometry, sun_rate_e_s_m2: float) -> Array:
     """Most light (T, F) that each target sends in the longest exposure [e-], MARGIN times."""
-    light_e = g.target_light * (MARGIN * plan.sun_rate_e_s_m2 * _area_m2(plan.scene))
-    return np.nan_to_num(light_e.max(axis=-1) * integration_range_s(plan.scene)[1])
+    light = np.nan_to_num(np.fmax.reduce(g.target_light, axis=-1))
+    area_s = _area_m2(scene) * integration_range_s(scene)[1]
+    return np.asarray(MARGIN * light * sun_rate_e_s_m2 * area_s)
 
 
 def points_beyond(plan: ResolvedScene, g: Geometry) -> bool:
@@ -72,7 +71,7 @@ def points_beyond(plan: ResolvedScene, g: Geometry) -> bool:
     scene, r = plan.scene, plan.responses
     if not (scene.targets and r.classes):
         return False
-    light_e = targets_e(plan, g)
+    light_e = targets_e(scene, g, plan.sun_rate_e_s_m2)
     size = [
         0.5 * t.body.diameter_m if isinstance(t.body, SphereBody) else 0.0 for t in scene.targets
     ]
