@@ -150,6 +150,16 @@ def satsim(published, tmp_path):
     return read_changed
 
 
+def test_a_satsim_file_without_a_bias_has_none(satsim, tmp_path):
+    """Its level is that of the converter alone, and its full well is its own."""
+    satsim({})
+    data = json.loads((tmp_path / "changed.json").read_text())
+    assert data["fpa"].pop("bias") > 0.0
+    (tmp_path / "changed.json").write_text(json.dumps(data))
+    sensor = read_satsim(tmp_path / "changed.json", EPOCH).data["sensor"]
+    assert sensor["bias_dn"] == data["fpa"]["a2d"]["bias"]
+
+
 def targets_px(imported):
     """Places of targets in the first frame, columns and rows."""
     g = plan_geometry(parse_scene(imported.data), np.zeros(1, np.int64), 0.0)

@@ -732,6 +732,21 @@ def test_values_that_no_star_has_count_as_absent(tmp_path):
     assert np.isfinite(report.catalogue.leaf_table["max_proper_motion_mas_yr"]).all()
 
 
+@pytest.mark.parametrize(
+    ("column", "most"),
+    [("pmra", 1e5), ("pmdec", 1e5), ("parallax", 1e4), ("radial_velocity", 1e5)],
+)
+def test_the_largest_values_that_are_measurements(tmp_path, column, most):
+    """In mas/yr, mas and km/s; what is beyond counts as absent, and is told with the limit."""
+    values = [most, -most, most + 1.0, -1.001 * most]
+    rows = [f"{k + 1},{10.0 + 0.1 * k},20,12,{value}" for k, value in enumerate(values)]
+    (tmp_path / "a.csv").write_text("\n".join([f"{HEAD},{column}", *rows]) + "\n")
+    report = ingest([tmp_path / "a.csv"], tmp_path / "c")
+    stars = cone(report.catalogue, 10, 20, 1)[0].sort_by("source_id")
+    assert stars[column].to_pylist() == [most, -most, None, None]
+    assert any(f"2 value(s) of {column} beyond {most:g}" in said for said in report.notes)
+
+
 def test_another_meaning_of_the_columns_is_another_ingest(tmp_path, parts, monkeypatch):
     """A column map that was edited after a kill is not mixed with the old one."""
     text = "\n".join(

@@ -130,6 +130,20 @@ def test_density_is_the_tabled_one() -> None:
     assert density_kg_m3(175e3) == pytest.approx(8.484e-10, rel=0.2)  # smooth between tabled ones
 
 
+def test_densities_fall_by_the_scale_heights_printed_beside_them() -> None:
+    """Vallado 2013, table 8-4: of a row's scale height [km] follows the density of the next."""
+    low_km = [*range(100, 151, 10), 180, 200, *range(250, 501, 50)]
+    height_km = np.array([*low_km, *range(600, 1001, 100)])
+    scale_km = np.array([
+        5.877, 7.263, 9.473, 12.636, 16.149, 22.523, 29.740, 37.105, 45.546, 53.628, 53.298,
+        58.515, 60.828, 63.822, 71.835, 88.667, 124.64, 181.05,
+    ])  # fmt: skip
+    density = np.array([density_kg_m3(1e3 * h) for h in height_km])
+    assert density[0] == pytest.approx(5.297e-7, rel=1e-6)
+    falls = np.exp(-np.diff(height_km) / scale_km)
+    np.testing.assert_allclose(density[1:] / density[:-1], falls, rtol=2e-4)
+
+
 def test_forces_one_by_one() -> None:
     """Radiation 4.54 uN/m2 times C_R A/m at 1 au; tides of Moon and Sun by their definition."""
     y = np.array([7e6, 0, 0, 0, 7.5e3, 0.0])

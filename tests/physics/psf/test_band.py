@@ -153,6 +153,21 @@ def test_vanes_and_wavefronts_of_a_band_against_a_hundred_wavelengths() -> None:
     assert np.abs(chosen.optics.transfer(f[:, 0], f[:, 1]) - total).max() < 2e-6
 
 
+def test_the_error_of_wavelengths_is_that_of_the_round_parts() -> None:
+    """Vanes and a wavefront change nothing of it: as many wavelengths as of the annulus alone."""
+
+    def make(wavelength_m: float) -> Pupil:
+        q = 0.8 * wavelength_m / MEAN
+        return Pupil(q, 0.3, SpiderVanes(3, 0.1, 0.2), ((5, 0.4 * MEAN / wavelength_m),))
+
+    of_pupil, of_annulus = (
+        choose_wavelengths(of, Blur(Airy(1.0)), *BOX, 5e-4)
+        for of in (make, lambda w: make(w).annulus)
+    )
+    assert 1 < len(of_pupil.weights) == len(of_annulus.weights)
+    assert of_pupil.error == pytest.approx(of_annulus.error, rel=1e-12)
+
+
 def test_seeing_of_a_band() -> None:
     def make(wavelength_m: float) -> Chromatic:
         q = 0.5 * wavelength_m / MEAN

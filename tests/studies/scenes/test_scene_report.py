@@ -26,7 +26,7 @@ from pipeline.plan.tiles import Tile, cut_up
 from pipeline.route.prepare import prepare
 from pipeline.spec.load import parse_scene
 from pipeline.studies.scenes import level, scenes, stage, study, switches
-from pipeline.studies.scenes.exact import _below, _bright_places
+from pipeline.studies.scenes.exact import _below, _bright_places, _on
 from pipeline.studies.scenes.figure import ladder_figure
 from pipeline.studies.scenes.report import report_scenes, write
 from pipeline.studies.scenes.switches import LARGEST_DOUBLED_PX, _finer_wings
@@ -101,6 +101,13 @@ def test_sources_just_below_a_limit_are_looked_at():
     assert _below([(1.0, 0.0), (5.0, 2.0), (6.5, 4.0)], x, y, light_e, tiles) == [
         (10.0, 25.0), (12.0, 25.0), (10.0, 25.0), (14.0, 25.0)
     ]  # fmt: skip
+
+
+def test_stars_stand_on_a_frame_by_their_own_column_and_row():
+    plan = SimpleNamespace(camera=SimpleNamespace(columns=200, rows=100))
+    x, y = np.array([150.0, 50.0, 150.0, -1.0, 50.0]), np.array([50.0, 150.0, -1.0, 50.0, 50.0])
+    stars = SimpleNamespace(x_px=x, y_px=y)
+    assert [_on(plan, stars, i) for i in range(5)] == [True, False, False, False, True]
 
 
 def test_the_end_of_the_brightest_streak_is_looked_at():
