@@ -36,6 +36,8 @@ from pipeline.plan.stars.engines import (
     _Costs,
     _one_by_one,
     _said_of_bright,
+    _streaks,
+    _together_to_e,
     choose_engines,
     cubic_bound,
 )
@@ -261,6 +263,9 @@ def test_crowds_of_a_wide_field_are_drawn_along_their_own_paths():
     core = many.responses.classes[0]
     assert 3000 < core.together_from < 4000
     assert core.together_e > 1e4
+    g = plan_geometry(wide.scene, np.zeros(1, int), 0.0)
+    [to_e] = _together_to_e(wide, core, 0.0, _streaks(wide, g))
+    assert core.together_e == to_e  # a crowd of so few errs by less than one of them may
     words = {d.component: d.reason for d in many.decisions}
     assert "stars with cores of 4 px together, along their own paths" in words["star_engines"]
     assert f"where {core.together_from} stars or more with" in words["crowds_by_transforms"]
