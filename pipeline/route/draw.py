@@ -23,19 +23,28 @@ from pipeline.store.product import Begun, truth_kinds
 
 Listener = Callable[["Progress"], None]
 
+LONG_S = 60.0
+
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a render is: tiles done of all, and what was just done; "wait": for workers."""
+    """How far a render is: tiles done of all, and what was just done; "wait": for workers.
+
+    left_s : CPU seconds forecast of the tiles that are left, where it starts; else 0
+    """
 
     done: int
     total: int
     doing: str
+    left_s: float = 0.0
 
     @property
     def stage(self) -> str:
-        """In words."""
-        return "waiting for workers" if self.doing == "wait" else "rendering"
+        """In words, with the size of long work before its first tile is done."""
+        if self.doing == "wait":
+            return "waiting for workers"
+        size = f", {self.left_s / 60.0:.0f} CPU min" if self.left_s > LONG_S else ""
+        return f"rendering{size}"
 
 
 def draw(
@@ -58,9 +67,10 @@ def draw(
         if listen is not None:
             listen(Progress(state["done"], total, kind))
 
+    tile_s = _tile_seconds(prepared)
     if listen is not None:
-        listen(Progress(state["done"], total, "start"))
-    size = _tiles_a_task(prepared, scheduler, total)
+        listen(Progress(state["done"], total, "start", tile_s * (total - state["done"])))
+    size = _tiles_a_task(plan, scheduler, total, tile_s)
 
     def graphs() -> Iterator[Graph]:
         nonlocal shards
@@ -79,13 +89,17 @@ def draw(
     scheduler.stream(graphs(), done)
 
 
-def _tiles_a_task(prepared: Prepared, scheduler: Scheduler, tiles: int) -> int:
-    """How many tiles of a job a task draws, by the plan's estimate of their work."""
+def _tile_seconds(prepared: Prepared) -> float:
+    """CPU seconds of a tile, by the plan's estimate of its frame's."""
+    plan = prepared.plan
+    frame_s = frame_seconds(plan, prepared.forecast)
+    return frame_s / len(plan.tiles) + TILE_S + CHUNK_S * len(plan.scene.output.layers)
+
+
+def _tiles_a_task(plan: Plan, scheduler: Scheduler, tiles: int, tile_s: float) -> int:
+    """How many tiles of a job a task draws, each of so many seconds."""
     if tiles < 2 * scheduler.workers:
         return 1
-    plan = prepared.plan
-    tile_s = frame_seconds(plan, prepared.forecast) / len(plan.tiles)
-    tile_s += TILE_S + CHUNK_S * len(prepared.plan.scene.output.layers)
     window = max(TASKS_PER_WINDOW, len(plan.tiles))  # at most so many are sent at a time
     return tiles_a_bundle(tile_s, scheduler.least_task_s, min(tiles, window), scheduler.workers)
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
 import shlex
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,10 @@ from rich.console import Console
 
 from pipeline import cli
 from pipeline.commands import pages
+from pipeline.route.draw import Progress
+from pipeline.route.prepare import plan_scene
+from pipeline.route.run import Options, render
+from pipeline.spec.load import parse_scene
 from pipeline.store.product import check
 from tests.command import nightglass
 
@@ -198,6 +204,25 @@ def test_progress_has_words_a_rate_and_the_time_left(monkeypatch: pytest.MonkeyP
     for words in ("rendering", "12/40 tiles", "2/s", "0:00:14 left"):
         assert words in line, line
     assert len(line) <= 80
+
+
+@pytest.mark.parametrize(("frames", "said"), [(2, "rendering"), (9000, r"rendering, \d+ CPU min")])
+def test_long_work_is_told_with_its_size(tmp_path: Path, frames: int, said: str) -> None:
+    """As the plan forecasts it, where drawing starts; then the time left shows."""
+    scene = parse_scene(SCENE | {"exposure": {"integration_s": 1.0, "frames": frames}})
+    heard = []
+
+    def listen(progress: Progress) -> None:
+        heard.append(progress)
+        if progress.doing == "start":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        render(scene, tmp_path / "run", Options(), listen)
+    assert re.fullmatch(said, heard[-1].stage)
+    forecast_s = plan_scene(scene)["predicted"]["cpu_s"]
+    assert heard[-1].left_s == pytest.approx(forecast_s, rel=0.3, abs=4.0)
+    assert replace(heard[-1], left_s=0.0).stage == "rendering"
 
 
 @pytest.mark.parametrize(("code", "said"), [(130, "nightglass: interrupted"), (1, ""), (0, "")])
