@@ -23,7 +23,7 @@ from pipeline.store.product import Begun, truth_kinds
 
 Listener = Callable[["Progress"], None]
 
-LONG_S = 60.0
+LONG_S = 60.0  # of CPU time: work whose size is told
 
 
 @dataclass(frozen=True)
