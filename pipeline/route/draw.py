@@ -30,7 +30,7 @@ LONG_S = 60.0  # of CPU time: work whose size is told
 class Progress:
     """How far a render is: tiles done of all, and what was just done; "wait": for workers.
 
-    left_s : CPU seconds forecast of the tiles that are left, where it starts; else 0
+    left_s : CPU seconds forecast of the tiles that are left, until the first is done; then 0
     """
 
     done: int
@@ -61,15 +61,16 @@ def draw(
     ref_epochs = tuple(c.ref_epoch_jyear for c in catalogues)
     state = {"done": len(begun.done)}
     shards: dict[Shard, object] = {}
+    tile_s = _tile_seconds(prepared)
 
     def done(kind: str) -> None:
         state["done"] += tiles_done(kind)
         if listen is not None:
-            listen(Progress(state["done"], total, kind))
+            none_yet = state["done"] == len(begun.done)
+            left_s = tile_s * (total - state["done"]) if none_yet else 0.0
+            listen(Progress(state["done"], total, kind, left_s))
 
-    tile_s = _tile_seconds(prepared)
-    if listen is not None:
-        listen(Progress(state["done"], total, "start", tile_s * (total - state["done"])))
+    done("start")
     size = _tiles_a_task(plan, scheduler, total, tile_s)
 
     def graphs() -> Iterator[Graph]:

@@ -151,7 +151,7 @@ def satsim(published, tmp_path):
 
 
 def test_a_satsim_file_without_a_bias_has_none(satsim, tmp_path):
-    """Its level is that of the converter alone, and its full well is its own."""
+    """Its level is that of the converter alone."""
     satsim({})
     data = json.loads((tmp_path / "changed.json").read_text())
     assert data["fpa"].pop("bias") > 0.0
